@@ -1,0 +1,2 @@
+//! The arm_controller node.
+fn main() {}

@@ -1,0 +1,2 @@
+//! The camera_replay node.
+fn main() {}

@@ -1,0 +1,2 @@
+//! The diffusion_policy node.
+fn main() {}

@@ -1,0 +1,2 @@
+//! The perception_bridge node.
+fn main() {}

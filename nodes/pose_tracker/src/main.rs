@@ -1,0 +1,2 @@
+//! The pose_tracker node.
+fn main() {}

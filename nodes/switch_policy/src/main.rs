@@ -1,0 +1,2 @@
+//! The switch_policy node.
+fn main() {}

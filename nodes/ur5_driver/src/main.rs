@@ -1,0 +1,2 @@
+//! The ur5_driver node.
+fn main() {}

@@ -1,0 +1,2 @@
+//! The virtual_lab node.
+fn main() {}
