@@ -1,0 +1,310 @@
+//! Training windows: a disturbed history and the clean future that shall follow it.
+
+use crate::normaliser::{POSE_DIM, finite};
+use crate::{Normaliser, PolicyConfig, PolicyError, TrainConfig};
+use nalgebra::{UnitQuaternion, Vector3};
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use tdv_geometry::{Pose, interpolate};
+
+/// One procedure's trajectories `T_reference_moving`, uniform in time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ProcedureData {
+    /// Its name.
+    pub name: String,
+    /// Trajectories, each at the set's `dt`.
+    pub trajectories: Vec<Vec<Pose>>,
+}
+
+/// What a policy is trained on.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TrainingSet {
+    /// Name of the task.
+    pub task: String,
+    /// The task in words.
+    pub text: String,
+    /// Embedding of the text, if there is an encoder.
+    pub text_embedding: Option<Vec<f32>>,
+    /// The procedures in their order.
+    pub procedures: Vec<ProcedureData>,
+    /// Seconds between poses.
+    pub dt: f64,
+    /// Identifies the set; see [`TrainingSet::content_hash`].
+    pub dataset_hash: String,
+}
+
+impl TrainingSet {
+    /// Checks the set against the policy that shall learn from it.
+    ///
+    /// # Errors
+    /// [`PolicyError::Data`] naming procedure and trajectory, [`PolicyError::NotFinite`].
+    pub fn validate(&self, config: &PolicyConfig) -> Result<(), PolicyError> {
+        let fail = |reason: String| Err(PolicyError::Data { reason });
+        if self.procedures.is_empty() {
+            return fail("it has no procedure".into());
+        }
+        if (self.dt - config.dt).abs() > 1e-9 {
+            return fail(format!(
+                "its poses are {} s apart, the policy wants {}; resample it or set `dt`",
+                self.dt, config.dt
+            ));
+        }
+        if let Some(e) = &self.text_embedding
+            && (e.is_empty() || e.iter().any(|v| !v.is_finite()))
+        {
+            return fail("the text embedding is empty or not finite".into());
+        }
+        for p in &self.procedures {
+            if p.trajectories.is_empty() {
+                return fail(format!("procedure `{}` has no trajectory", p.name));
+            }
+            for (i, t) in p.trajectories.iter().enumerate() {
+                if t.len() < 2 {
+                    return fail(format!(
+                        "procedure `{}`: trajectory {i} has {} poses, at least 2 are needed",
+                        p.name,
+                        t.len()
+                    ));
+                }
+                for (j, pose) in t.iter().enumerate() {
+                    finite(pose, || format!("procedure `{}`: trajectory {i}, pose {j}", p.name))?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// FNV-1a over names and the bits of every number, as 16 hexadecimal digits.
+    pub fn content_hash(&self) -> String {
+        let mut hash = 0xcbf2_9ce4_8422_2325_u64;
+        let mut feed = |bytes: &[u8]| {
+            for b in bytes {
+                hash = (hash ^ u64::from(*b)).wrapping_mul(0x100_0000_01b3);
+            }
+        };
+        feed(self.task.as_bytes());
+        feed(&self.dt.to_le_bytes());
+        for p in &self.procedures {
+            feed(p.name.as_bytes());
+            for t in &p.trajectories {
+                feed(&(t.len() as u64).to_le_bytes());
+                for pose in t {
+                    for v in pose.translation.vector.iter().chain(pose.rotation.coords.iter()) {
+                        feed(&v.to_le_bytes());
+                    }
+                }
+            }
+        }
+        format!("{hash:016x}")
+    }
+
+    /// One normaliser per procedure, from all its poses.
+    ///
+    /// # Errors
+    /// As [`Normaliser::fit`].
+    pub fn normalisers(&self) -> Result<Vec<Normaliser>, PolicyError> {
+        self.procedures.iter().map(|p| Normaliser::fit(p.trajectories.iter().flatten())).collect()
+    }
+
+    /// Where each procedure ends: mean position and rotation of the trajectories' last poses.
+    pub fn end_poses(&self) -> Vec<Pose> {
+        self.procedures
+            .iter()
+            .map(|p| mean(p.trajectories.iter().filter_map(|t| t.last())))
+            .collect()
+    }
+}
+
+fn mean<'a>(poses: impl Iterator<Item = &'a Pose> + Clone) -> Pose {
+    let (mut sum, mut q, mut n) = (Vector3::zeros(), nalgebra::Vector4::zeros(), 0.0);
+    for p in poses {
+        sum += p.translation.vector;
+        let c = p.rotation.coords;
+        q += if c.dot(&q) < 0.0 { -c } else { c };
+        n += 1.0;
+    }
+    if n == 0.0 || q.norm() < 1e-9 {
+        return Pose::identity();
+    }
+    let rotation = UnitQuaternion::from_quaternion(nalgebra::Quaternion::from(q));
+    Pose::from_parts((sum / n).into(), rotation)
+}
+
+/// The pose at a fractional sample number; the ends are held.
+pub(crate) fn pose_at(trajectory: &[Pose], t: f64) -> Pose {
+    let last = trajectory.len() - 1;
+    if t <= 0.0 {
+        return trajectory[0];
+    }
+    let i = t.floor() as usize;
+    if i >= last {
+        return trajectory[last];
+    }
+    interpolate(&trajectory[i], &trajectory[i + 1], t - i as f64)
+}
+
+/// A pose moved by Gaussian noise: standard deviations per axis, in the parent frame (m, rad).
+pub(crate) fn disturb(pose: &Pose, position: f64, rotation: f64, rng: &mut ChaCha8Rng) -> Pose {
+    let mut normal = || Vector3::from_fn(|_, _| rng.sample::<f64, _>(StandardNormal));
+    let (dp, dr) = (normal() * position, normal() * rotation);
+    Pose::from_parts(
+        (pose.translation.vector + dp).into(),
+        UnitQuaternion::from_scaled_axis(dr) * pose.rotation,
+    )
+}
+
+/// Draws windows from a set.
+pub(crate) struct Windows<'a> {
+    set: &'a TrainingSet,
+    normalisers: &'a [Normaliser],
+    config: &'a PolicyConfig,
+    train: &'a TrainConfig,
+    /// Per procedure: where each trajectory's positions start in a running count, and their total.
+    starts: Vec<(Vec<usize>, usize)>,
+}
+
+impl<'a> Windows<'a> {
+    pub fn new(
+        set: &'a TrainingSet,
+        normalisers: &'a [Normaliser],
+        config: &'a PolicyConfig,
+        train: &'a TrainConfig,
+    ) -> Self {
+        let starts = set
+            .procedures
+            .iter()
+            .map(|p| {
+                let mut total = 0;
+                let starts = p
+                    .trajectories
+                    .iter()
+                    .map(|t| {
+                        let start = total;
+                        total += t.len() + train.hold_samples;
+                        start
+                    })
+                    .collect();
+                (starts, total)
+            })
+            .collect();
+        Self { set, normalisers, config, train, starts }
+    }
+
+    /// A random position: procedures equally often, positions within a procedure equally often.
+    pub fn draw(&self, rng: &mut ChaCha8Rng) -> (usize, usize, usize) {
+        let procedure = rng.random_range(0..self.starts.len());
+        let (starts, total) = &self.starts[procedure];
+        let position = rng.random_range(0..*total);
+        let trajectory = starts.partition_point(|s| *s <= position) - 1;
+        (procedure, trajectory, position - starts[trajectory])
+    }
+
+    /// Writes the history `[history, 9]` and the future `[horizon, 9]` around a position.
+    pub fn write(
+        &self,
+        (procedure, trajectory, position): (usize, usize, usize),
+        rng: &mut ChaCha8Rng,
+        history: &mut [f32],
+        future: &mut [f32],
+    ) {
+        let poses = &self.set.procedures[procedure].trajectories[trajectory];
+        let normaliser = &self.normalisers[procedure];
+        let t = &self.train;
+        let jitter = t.time_jitter;
+        let (mut time, mut spacing) = (position as f64, 1.0);
+        if jitter > 0.0 {
+            time += rng.random_range(-jitter..jitter);
+            spacing += rng.random_range(-jitter..jitter);
+        }
+        let n = self.config.history;
+        write_history(poses, normaliser, time, spacing, t, rng, history);
+        if rng.random_bool(t.padding) {
+            let valid = rng.random_range(1..=n);
+            let (old, young) = history.split_at_mut((n - valid) * POSE_DIM);
+            old.chunks_exact_mut(POSE_DIM).for_each(|o| o.copy_from_slice(&young[..POSE_DIM]));
+        }
+        for (i, out) in future.chunks_exact_mut(POSE_DIM).enumerate() {
+            out.copy_from_slice(&normaliser.encode(&pose_at(poses, time + (i + 1) as f64)));
+        }
+    }
+}
+
+/// A disturbed history that ends at sample `time`, its poses `spacing` samples apart.
+pub(crate) fn write_history(
+    poses: &[Pose],
+    normaliser: &Normaliser,
+    time: f64,
+    spacing: f64,
+    t: &TrainConfig,
+    rng: &mut ChaCha8Rng,
+    history: &mut [f32],
+) {
+    let n = history.len() / POSE_DIM;
+    let amount: f64 = rng.random();
+    let drift =
+        disturb(&Pose::identity(), t.drift_position * amount, t.drift_rotation * amount, rng);
+    for (i, out) in history.chunks_exact_mut(POSE_DIM).enumerate() {
+        let clean = pose_at(poses, time - (n - 1 - i) as f64 * spacing);
+        let shifted = Pose::from_parts(
+            (clean.translation.vector + drift.translation.vector).into(),
+            drift.rotation * clean.rotation,
+        );
+        let noisy = disturb(&shifted, t.noise_position, t.noise_rotation, rng);
+        out.copy_from_slice(&normaliser.encode(&noisy));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng::{Stream, stream};
+    use crate::synthetic;
+
+    #[test]
+    fn bad_sets_are_refused_by_name() {
+        let config = PolicyConfig { dt: 0.1, ..PolicyConfig::small() };
+        let good = synthetic::place_set(2, 1);
+        good.validate(&config).unwrap();
+        let mut short = good.clone();
+        short.procedures[0].trajectories[1].truncate(1);
+        assert!(short.validate(&config).unwrap_err().to_string().contains("trajectory 1 has 1"));
+        let mut nan = good.clone();
+        nan.procedures[0].trajectories[0][3].translation.vector.x = f64::NAN;
+        assert!(nan.validate(&config).unwrap_err().to_string().contains("trajectory 0, pose 3"));
+        assert!(good.validate(&PolicyConfig::small()).unwrap_err().to_string().contains("0.05"));
+        assert_ne!(good.content_hash(), short.content_hash());
+    }
+
+    #[test]
+    fn windows_hold_the_ends_and_follow_the_path() {
+        let set = synthetic::place_set(3, 1);
+        let config = PolicyConfig { dt: 0.1, ..PolicyConfig::small() };
+        let quiet = TrainConfig {
+            noise_position: 0.0,
+            noise_rotation: 0.0,
+            drift_position: 0.0,
+            drift_rotation: 0.0,
+            time_jitter: 0.0,
+            padding: 0.0,
+            ..TrainConfig::default()
+        };
+        let n = set.normalisers().unwrap();
+        let w = Windows::new(&set, &n, &config, &quiet);
+        let mut rng = stream(1, Stream::Batch);
+        let (mut h, mut f) = (vec![0.0; 8 * 9], vec![0.0; 16 * 9]);
+        w.write((0, 1, 0), &mut rng, &mut h, &mut f);
+        let poses = &set.procedures[0].trajectories[1];
+        assert_eq!(h[..9], n[0].encode(&poses[0]));
+        assert_eq!(h[63..], n[0].encode(&poses[0]));
+        assert_eq!(f[..9], n[0].encode(&poses[1]));
+        let end = poses.len() - 1;
+        w.write((0, 1, end + 9), &mut rng, &mut h, &mut f);
+        assert_eq!(h[..9], n[0].encode(&poses[end]));
+        assert_eq!(f[15 * 9..], n[0].encode(&poses[end]));
+        for _ in 0..1000 {
+            let (p, t, at) = w.draw(&mut rng);
+            assert!(at < set.procedures[p].trajectories[t].len() + quiet.hold_samples);
+        }
+    }
+}
