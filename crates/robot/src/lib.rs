@@ -1,1 +1,22 @@
-//! Under construction.
+//! UR5 and Robotiq 2F-85 without ROS: kinematics, limits, gripper maps, the arm controller's core
+//! and the driver's trajectory executor. No clock, no socket; files only in the URDF and limits
+//! loaders.
+
+pub mod collision;
+pub mod executor;
+pub mod gripper;
+pub mod kinematics;
+pub mod limits;
+pub mod motion;
+pub mod urdf;
+
+pub use executor::{
+    Desired, ExecutorParams, JointTrajectory, JointTrajectoryExecutor, TargetGuard,
+    TrajectoryPoint, TrajectoryRejection,
+};
+pub use kinematics::{
+    Dexterity, DhTable, IkError, IkSelection, IkSolutions, JOINT_NAMES, Joints, Kinematics,
+    TCP_OFFSET, base_link_to_base, default_tool, unwrap_near,
+};
+pub use limits::{Limits, LimitsError};
+pub use motion::{ArmController, ControllerInput, ControllerOutput, ControllerParams};

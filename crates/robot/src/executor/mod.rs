@@ -1,0 +1,167 @@
+//! The driver's side of a joint trajectory: acceptance by the rules of ros2_control's joint
+//! trajectory controller, sampling, preemption, and a last guard before the robot. Pure.
+
+mod guard;
+mod spline;
+mod validate;
+
+pub use guard::{GuardError, TargetGuard};
+pub use validate::TrajectoryRejection;
+
+use crate::kinematics::{JOINT_NAMES, Joints};
+use spline::Knot;
+use tdv_geometry::Stamp;
+
+/// One point as the message carries it; empty vectors mean "not given".
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct TrajectoryPoint {
+    /// Rad, in the order of the trajectory's names.
+    pub positions: Vec<f64>,
+    /// Rad/s.
+    pub velocities: Vec<f64>,
+    /// Rad/s^2.
+    pub accelerations: Vec<f64>,
+    /// Must be empty: there is no effort interface.
+    pub effort: Vec<f64>,
+    /// Seconds.
+    pub time_from_start: f64,
+}
+
+/// A `trajectory_msgs/JointTrajectory`.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct JointTrajectory {
+    /// All six joints, in any order.
+    pub names: Vec<String>,
+    /// The header's stamp; `None` (a zero stamp) starts on acceptance.
+    pub stamp: Option<Stamp>,
+    /// At least one.
+    pub points: Vec<TrajectoryPoint>,
+}
+
+/// Desired joints at a moment.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Desired {
+    /// Rad, UR order.
+    pub q: Joints,
+    /// Rad/s.
+    pub qd: Joints,
+}
+
+/// What the executor checks a trajectory against.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ExecutorParams {
+    /// The joints' names in UR order (a `tf_prefix` changes them).
+    pub names: [String; 6],
+    /// Least positions (rad).
+    pub lower: Joints,
+    /// Greatest positions (rad).
+    pub upper: Joints,
+}
+
+impl Default for ExecutorParams {
+    fn default() -> Self {
+        let limits = crate::limits::Limits::default();
+        Self {
+            names: JOINT_NAMES.map(String::from),
+            lower: limits.joint_lower,
+            upper: limits.joint_upper,
+        }
+    }
+}
+
+/// Executes one trajectory at a time; a new one preempts it from the present desired state.
+#[derive(Debug, Clone)]
+pub struct JointTrajectoryExecutor {
+    params: ExecutorParams,
+    knots: Vec<Knot>,
+    /// Time of knot 0; knot times are seconds from here.
+    start: Stamp,
+}
+
+impl JointTrajectoryExecutor {
+    /// Without a trajectory; [`Self::sample`] gives nothing until the first one or a [`Self::hold`].
+    pub fn new(params: ExecutorParams) -> Self {
+        Self { params, knots: Vec::new(), start: Stamp::default() }
+    }
+
+    /// Checks a trajectory and, if it is good, makes it the active one at once. `current` is the state
+    /// to start from when nothing is active: the last target sent to the robot, or the measured state
+    /// at rest.
+    ///
+    /// # Errors
+    /// [`TrajectoryRejection`]; what was active stays active.
+    pub fn accept(
+        &mut self,
+        trajectory: &JointTrajectory,
+        now: Stamp,
+        current: &Desired,
+    ) -> Result<(), TrajectoryRejection> {
+        let order = validate::validate(trajectory, now, &self.params)?;
+        let from = self.sample(now).unwrap_or(*current);
+        let begin = trajectory.stamp.map_or(0.0, |s| s.since(now));
+        let mut knots = vec![Knot { time: 0.0, q: from.q, qd: Some(from.qd), qdd: None }];
+        for p in &trajectory.points {
+            let time = begin + p.time_from_start;
+            // Points that lie in the past are skipped: the path goes from here to the next one.
+            if time > 1e-9 {
+                let pick = |v: &[f64]| -> Option<Joints> {
+                    (v.len() == 6).then(|| std::array::from_fn(|i| v[order[i]]))
+                };
+                if let Some(q) = pick(&p.positions) {
+                    let (qd, qdd) = (pick(&p.velocities), pick(&p.accelerations));
+                    knots.push(Knot { time, q, qd, qdd });
+                }
+            }
+        }
+        if knots.len() == 1 {
+            // A single point at time zero: the target itself, as a controller would hold it.
+            if let Some(p) = trajectory.points.last() {
+                let q = std::array::from_fn(|i| p.positions[order[i]]);
+                knots[0] = Knot { time: 0.0, q, qd: None, qdd: None };
+            }
+        }
+        self.knots = knots;
+        self.start = now;
+        Ok(())
+    }
+
+    /// Stays at joints `q` from now on.
+    pub fn hold(&mut self, now: Stamp, q: Joints) {
+        self.start = now;
+        self.knots = vec![Knot { time: 0.0, q, qd: Some([0.0; 6]), qdd: None }];
+    }
+
+    /// Forgets everything, for a robot that was moved by others.
+    pub fn clear(&mut self) {
+        self.knots.clear();
+    }
+
+    /// Desired state at a time: along the trajectory (cubic where both ends have velocities, quintic
+    /// where they have accelerations too, else linear), then its last position at rest.
+    pub fn sample(&self, now: Stamp) -> Option<Desired> {
+        let t = now.since(self.start);
+        let (first, last) = (self.knots.first()?, self.knots.last()?);
+        if t >= last.time {
+            return Some(Desired { q: last.q, qd: [0.0; 6] });
+        }
+        if t <= 0.0 {
+            return Some(Desired { q: first.q, qd: first.qd.unwrap_or([0.0; 6]) });
+        }
+        let i = self.knots.partition_point(|k| k.time <= t).clamp(1, self.knots.len() - 1);
+        let (q, qd) = spline::sample(&self.knots[i - 1], &self.knots[i], t);
+        Some(Desired { q, qd })
+    }
+
+    /// True until the last point's time.
+    pub fn is_moving(&self, now: Stamp) -> bool {
+        self.knots.last().is_some_and(|k| now.since(self.start) < k.time)
+    }
+
+    /// Last position of the active trajectory (rad) and when it is due.
+    pub fn goal(&self) -> Option<(Joints, Stamp)> {
+        self.knots.last().map(|k| (k.q, self.start.plus(k.time)))
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,20 @@
+//! The arm controller's core: object path -> tool path -> joints -> short trajectories that end at
+//! rest, the gripper, and the order of a pick-and-place task. Pure: time comes in as an argument.
+
+mod controller;
+mod hold;
+mod law;
+mod params;
+mod plan;
+mod projection;
+mod sequence;
+mod types;
+
+pub use controller::ArmController;
+pub use params::{ControllerParams, GripParams};
+pub use plan::PlanError;
+pub use projection::Refusal;
+pub use types::{
+    Attach, ControllerInput, ControllerOutput, GripperFeedback, GripperRequest, JointPath,
+    JointState, Moving, PathPoint, Plan, ProcedureState, Requests, Status, StatusCode,
+};

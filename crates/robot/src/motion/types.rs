@@ -1,0 +1,228 @@
+use crate::kinematics::Joints;
+use tdv_geometry::{Pose, Stamp};
+
+/// What a plan moves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Moving {
+    /// The gripper's `tcp`.
+    Tcp,
+    /// A held object; needs its pose in the gripper, see [`Attach`].
+    Object,
+}
+
+/// A prediction of the policy.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plan {
+    /// Of the observation it was made from.
+    pub stamp: Stamp,
+    /// Procedure it belongs to.
+    pub procedure: u32,
+    /// What it moves.
+    pub moving: Moving,
+    /// `T_base_link_reference` used for it.
+    pub reference_pose: Pose,
+    /// `T_reference_moving` observed at `stamp`, when known.
+    pub moving_pose: Option<Pose>,
+    /// `T_reference_moving`, `dt` apart, the first one `dt` after `stamp`.
+    pub poses: Vec<Pose>,
+    /// Seconds.
+    pub dt: f64,
+}
+
+/// Measured joints, already sorted by name.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct JointState {
+    /// When it was measured.
+    pub stamp: Stamp,
+    /// Rad, UR order.
+    pub q: Joints,
+    /// Rad/s.
+    pub qd: Joints,
+}
+
+/// Newest word of the switch policy.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ProcedureState {
+    /// Current procedure.
+    pub procedure: u32,
+    /// The last procedure has ended: release.
+    pub complete: bool,
+}
+
+/// Pose of the held object in the gripper, `T_tcp_object`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Attach {
+    /// When it was measured; one from before the grip is not used.
+    pub stamp: Stamp,
+    /// `T_tcp_object`.
+    pub pose: Pose,
+}
+
+/// Newest state of the gripper.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GripperFeedback {
+    /// Id of the [`GripperRequest`] that `stalled` and `reached` answer; `None` before the first.
+    pub command: Option<u32>,
+    /// Knuckle angle (rad), always the newest.
+    pub knuckle: f64,
+    /// The fingers were stopped by an object.
+    pub stalled: bool,
+    /// The fingers are where they were sent.
+    pub reached: bool,
+}
+
+/// Requests of the operator; each is an edge, set for one step.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Requests {
+    /// Stop and stay.
+    pub pause: bool,
+    /// Go on after a stop.
+    pub resume: bool,
+    /// Forget the task's progress and begin again; opens the gripper.
+    pub reset: bool,
+    /// Go to the home pose.
+    pub home: bool,
+    /// Stop; only `reset` leaves this.
+    pub abort: bool,
+}
+
+/// Everything that [`super::ArmController::step`] looks at.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ControllerInput {
+    /// Newest joint state.
+    pub joints: Option<JointState>,
+    /// Newest plan; may be the same for many steps.
+    pub plan: Option<Plan>,
+    /// Newest procedure.
+    pub procedure: Option<ProcedureState>,
+    /// Newest attachment.
+    pub attach: Option<Attach>,
+    /// Newest gripper state.
+    pub gripper: Option<GripperFeedback>,
+    /// False stops the motion (dead-man switch, driver not ready, protective stop).
+    pub enable: bool,
+    /// Factor 0..=1 by which the driver stretches time; 1 when it does not say.
+    pub speed_scaling: f64,
+    /// Edges.
+    pub requests: Requests,
+}
+
+impl Default for ControllerInput {
+    fn default() -> Self {
+        Self {
+            joints: None,
+            plan: None,
+            procedure: None,
+            attach: None,
+            gripper: None,
+            enable: true,
+            speed_scaling: 1.0,
+            requests: Requests::default(),
+        }
+    }
+}
+
+/// One point of a [`JointPath`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PathPoint {
+    /// Seconds from the path's stamp.
+    pub time: f64,
+    /// Rad, UR order.
+    pub q: Joints,
+    /// Rad/s.
+    pub qd: Joints,
+}
+
+/// A short joint trajectory that ends at rest.
+#[derive(Debug, Clone, PartialEq)]
+pub struct JointPath {
+    /// When it starts.
+    pub stamp: Stamp,
+    /// Times strictly increase; the last velocity is zero.
+    pub points: Vec<PathPoint>,
+}
+
+/// A command for the gripper action.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GripperRequest {
+    /// Counts up; comes back in [`GripperFeedback::command`].
+    pub id: u32,
+    /// Knuckle angle (rad).
+    pub position: f64,
+    /// The action's `max_effort`.
+    pub max_effort: f64,
+}
+
+/// What the controller is doing; the numbers go out in the status message.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[repr(u8)]
+pub enum StatusCode {
+    /// No joint state has come yet.
+    WaitingForJoints = 0,
+    /// Stopped until `resume` after a start of this controller.
+    Ready = 1,
+    /// Nothing to follow yet.
+    Idle = 2,
+    /// Following plans.
+    Following = 3,
+    /// Opening the gripper at the start.
+    Preparing = 4,
+    /// Closing the gripper.
+    Grasping = 5,
+    /// Object held; waits for its pose in the gripper and for the next plan.
+    AwaitingAttach = 6,
+    /// Opening the gripper at the target.
+    Releasing = 7,
+    /// Backing off along the tool's axis.
+    Retreating = 8,
+    /// Grip failed or object lost: opening, backing off, starting over.
+    Recovering = 9,
+    /// Going to the home pose.
+    Homing = 10,
+    /// The task is done.
+    Done = 11,
+    /// Paused by request.
+    Paused = 12,
+    /// Not enabled.
+    Disabled = 13,
+    /// Aborted by request; only reset leaves this.
+    Aborted = 14,
+    /// No fresh plan: holding.
+    HoldStale = 15,
+    /// A plan or its path broke a limit or could not be reached: holding.
+    HoldRefused = 16,
+    /// Joint states missing, or the arm does not follow: holding.
+    HoldJoints = 17,
+    /// The gripper does not do what it was told: holding.
+    HoldGripper = 18,
+}
+
+/// State for the operator.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Status {
+    /// Which state.
+    pub code: StatusCode,
+    /// The same in words, with the values that matter.
+    pub sentence: String,
+    /// Procedure being carried out.
+    pub procedure: u32,
+    /// The gripper holds an object.
+    pub object_held: bool,
+    /// The commanded state moves.
+    pub moving: bool,
+    /// The task is complete.
+    pub done: bool,
+}
+
+/// What [`super::ArmController::step`] wants done.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ControllerOutput {
+    /// To the joint trajectory topic.
+    pub trajectory: Option<JointPath>,
+    /// To the gripper action.
+    pub gripper: Option<GripperRequest>,
+    /// Ask the switch policy to begin again at procedure 0 (an edge).
+    pub reset_switch: bool,
+    /// For the status topic.
+    pub status: Status,
+}
