@@ -1,0 +1,318 @@
+//! Frame-to-frame pose tracking of one object by colour along its outline and by depth on its surface
+//! (after ICG, Stoiber et al. 2022; instead of precomputed views the object is drawn where it is).
+
+mod depth;
+mod histogram;
+mod occlusion;
+mod quality;
+mod region;
+mod surface;
+mod system;
+
+pub use quality::Quality;
+
+use crate::catalogue::ObjectModel;
+use crate::frame::RgbdFrame;
+use crate::view::{Painter, Window};
+use histogram::{Counts, Histograms};
+use nalgebra::{Matrix6, Vector3};
+use occlusion::Occlusion;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+use surface::Surface;
+use system::System;
+use tdv_geometry::Pose;
+
+/// Settings of the tracker. Lists hold one value per correspondence iteration.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrackerConfig {
+    /// Lines across the outline.
+    pub lines: usize,
+    /// Points on the surface.
+    pub points: usize,
+    /// Pixels per line segment.
+    pub scales: Vec<u32>,
+    /// Standard deviation (px) of the outline.
+    pub region_sigma_px: Vec<f64>,
+    /// Farthest measured point (m) taken for a surface point.
+    pub depth_reach: Vec<f64>,
+    /// Standard deviation of a depth pair (m at 1 m distance).
+    pub depth_sigma: Vec<f64>,
+    /// Newton steps per correspondence iteration.
+    pub updates: usize,
+    /// Regularisation of rotations.
+    pub rotation_damping: f64,
+    /// Regularisation of translations.
+    pub translation_damping: f64,
+    /// Learning rate of the colour histograms.
+    pub learning_rate: f32,
+    /// How much nearer (m) than the surface something must be to hide it.
+    pub occluder_margin: f64,
+    /// Confidence below which colours are not learnt.
+    pub learn_above: f64,
+}
+
+impl Default for TrackerConfig {
+    fn default() -> Self {
+        Self {
+            lines: 140,
+            points: 200,
+            scales: vec![6, 4, 2, 1],
+            region_sigma_px: vec![15.0, 5.0, 3.5, 1.5],
+            depth_reach: vec![0.05, 0.03, 0.015, 0.01],
+            depth_sigma: vec![0.05, 0.03, 0.02, 0.02],
+            updates: 2,
+            rotation_damping: 1000.0,
+            translation_damping: 30000.0,
+            learning_rate: 0.2,
+            occluder_margin: 0.02,
+            learn_above: 0.6,
+        }
+    }
+}
+
+/// What the tracker found in a frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tracked {
+    /// `T_camera_object`, the symmetric equivalent nearest to the last one.
+    pub pose: Pose,
+    /// 0..1; see [`Quality::confidence`].
+    pub confidence: f64,
+    /// Covariance (m^2, rad^2) of position and rotation in camera axes: xyz, then rotation.
+    pub covariance: Matrix6<f64>,
+    /// The figures behind the confidence.
+    pub quality: Quality,
+}
+
+/// Tracks one object.
+#[derive(Debug)]
+pub struct Tracker {
+    model: Arc<ObjectModel>,
+    config: TrackerConfig,
+    pose: Pose,
+    colors: Histograms,
+    painter: Painter,
+    occlusion: Occlusion,
+    counts: Counts,
+    last: Quality,
+    lines: Vec<region::Line>,
+    pairs: Vec<depth::Pair>,
+}
+
+impl Tracker {
+    /// A tracker starting at a registered pose: learns the colours there and settles for a few rounds.
+    pub fn start(
+        frame: &RgbdFrame,
+        model: Arc<ObjectModel>,
+        pose: &Pose,
+        config: TrackerConfig,
+    ) -> Self {
+        let mut t = Self {
+            model,
+            config,
+            pose: *pose,
+            colors: Histograms::new(),
+            painter: Painter::new(),
+            occlusion: Occlusion::default(),
+            counts: Counts::new(),
+            last: Quality::default(),
+            lines: Vec::new(),
+            pairs: Vec::new(),
+        };
+        t.learn(frame, true, 1.0);
+        // The start pose is near: only the fine iterations.
+        let n = t.rounds();
+        for _ in 0..4 {
+            for i in n.saturating_sub(2)..n {
+                t.iterate(frame, i, true, false);
+            }
+        }
+        t.learn(frame, true, 0.5);
+        t
+    }
+
+    /// The last pose.
+    pub fn pose(&self) -> Pose {
+        self.pose
+    }
+
+    /// The object that is tracked.
+    pub fn model(&self) -> &ObjectModel {
+        &self.model
+    }
+
+    fn rounds(&self) -> usize {
+        let c = &self.config;
+        c.scales
+            .len()
+            .min(c.region_sigma_px.len())
+            .min(c.depth_reach.len())
+            .min(c.depth_sigma.len())
+    }
+
+    /// Follows the object into the next frame. `with_depth`: false when the depth image is stale or
+    /// empty, then colour alone is used.
+    pub fn track(&mut self, frame: &RgbdFrame, with_depth: bool) -> Tracked {
+        let before = self.pose;
+        let mut information = Matrix6::zeros();
+        for i in 0..self.rounds() {
+            if let Some(h) = self.iterate(frame, i, with_depth, i == 0) {
+                information = h;
+            }
+        }
+        self.pose = self.model.symmetry.nearest(&self.pose, &before.rotation);
+        let mut quality = self.measure(frame);
+        if !with_depth {
+            // Judged by the last depth image that there was.
+            quality.agreement = self.last.agreement;
+            quality.visible = self.last.visible;
+        }
+        quality.lines = self.lines.len() as f64 / self.config.lines.max(1) as f64;
+        self.last = quality;
+        let confidence = quality.confidence();
+        if confidence > self.config.learn_above {
+            self.learn(frame, with_depth, self.config.learning_rate);
+        }
+        Tracked {
+            pose: self.pose,
+            confidence,
+            covariance: self.covariance(&information, confidence),
+            quality,
+        }
+    }
+
+    /// Draws the object at the current pose; `None` when it is out of view.
+    fn draw(&mut self, frame: &RgbdFrame, with_depth: bool) -> Option<Surface> {
+        let full = &frame.intrinsics;
+        let window = Window::of(&self.model, &self.pose, full, 6.0)?;
+        let k = window.intrinsics(full);
+        self.painter.draw(&k, &self.model, &self.pose);
+        self.occlusion.set(&self.painter, &window, self.config.occluder_margin, with_depth);
+        let c = &self.config;
+        Some(Surface::sample(&self.painter, &window, &k, full, &self.pose, c.lines, c.points))
+    }
+
+    /// One round of correspondences and its updates; the information matrix, in the object frame.
+    fn iterate(
+        &mut self,
+        frame: &RgbdFrame,
+        round: usize,
+        with_depth: bool,
+        first: bool,
+    ) -> Option<Matrix6<f64>> {
+        let surface = self.draw(frame, with_depth)?;
+        let c = &self.config;
+        let (colors, occlusion) = (&self.colors, &self.occlusion);
+        region::lay_lines(
+            frame,
+            &surface.outline,
+            &self.pose,
+            colors,
+            occlusion,
+            c.scales[round],
+            &mut self.lines,
+        );
+        self.pairs.clear();
+        let reach = c.depth_reach[round];
+        if with_depth {
+            depth::find_pairs(
+                frame,
+                &surface.points,
+                &self.pose,
+                occlusion,
+                reach,
+                first,
+                &mut self.pairs,
+            );
+        }
+        let mut information = None;
+        for update in 0..c.updates {
+            let mut system = System::new();
+            let sigma = c.region_sigma_px[round];
+            let global = update == 0;
+            region::accumulate(frame, &self.lines, &self.pose, sigma, global, &mut system);
+            depth::accumulate(&self.pairs, &self.pose, c.depth_sigma[round], reach, &mut system);
+            let next = system.step(&self.pose, c.rotation_damping, c.translation_damping);
+            if let Some(next) = next {
+                self.pose = next;
+            }
+            information = Some(system.hessian);
+        }
+        information
+    }
+
+    fn learn(&mut self, frame: &RgbdFrame, with_depth: bool, rate: f32) {
+        let Some(surface) = self.draw(frame, with_depth) else { return };
+        self.counts.foreground.fill(0.0);
+        self.counts.background.fill(0.0);
+        region::count_colors(
+            frame,
+            &surface.outline,
+            &self.pose,
+            &self.occlusion,
+            &mut self.counts,
+        );
+        self.colors.update(&self.counts, rate);
+    }
+
+    /// Compares a drawing at the current pose with the depth image.
+    fn measure(&mut self, frame: &RgbdFrame) -> Quality {
+        let full = &frame.intrinsics;
+        let Some(window) = Window::of(&self.model, &self.pose, full, 2.0) else {
+            return Quality::default();
+        };
+        let k = window.intrinsics(full);
+        self.painter.draw(&k, &self.model, &self.pose);
+        let mut q = quality::compare(frame, &self.painter, &window);
+        q.separability = self.colors.separability();
+        q
+    }
+
+    /// Calls `set(index, depth)` for every image pixel (row-major index) that the object covers and
+    /// that nothing nearer hides, as of the last [`Tracker::track`].
+    pub fn silhouette(&self, frame: &RgbdFrame, mut set: impl FnMut(usize, f32)) {
+        let Some(window) = Window::of(&self.model, &self.pose, &frame.intrinsics, 2.0) else {
+            return;
+        };
+        // `track` learns after measuring and may have drawn a window of another margin.
+        let mut painter = Painter::new();
+        painter.draw(&window.intrinsics(&frame.intrinsics), &self.model, &self.pose);
+        let row = frame.intrinsics.width as usize;
+        for (i, z) in painter.out.depth.data.iter().enumerate() {
+            if *z <= 0.0 {
+                continue;
+            }
+            let u = window.x0 as usize + i % window.width as usize;
+            let v = window.y0 as usize + i / window.width as usize;
+            let hidden = frame
+                .depth_at(u as i32, v as i32)
+                .is_some_and(|d| d < z - self.config.occluder_margin as f32);
+            if !hidden {
+                set(v * row + u, *z);
+            }
+        }
+    }
+
+    fn covariance(&self, information: &Matrix6<f64>, confidence: f64) -> Matrix6<f64> {
+        let mut h = *information;
+        for i in 0..3 {
+            // What the image does not tell is still known within 0.3 rad and 5 cm.
+            h[(i, i)] += 10.0;
+            h[(i + 3, i + 3)] += 400.0;
+        }
+        let body = h.try_inverse().unwrap_or_else(|| Matrix6::identity() * 0.01);
+        // Rotation and translation change places, and both turn from object to camera axes.
+        let r = self.pose.rotation.to_rotation_matrix();
+        let mut a = Matrix6::zeros();
+        a.fixed_view_mut::<3, 3>(0, 3).copy_from(r.matrix());
+        a.fixed_view_mut::<3, 3>(3, 0).copy_from(r.matrix());
+        let mut c = a * body * a.transpose() / confidence.max(0.05).powi(2);
+        let floor = Vector3::new(0.5e-3, 0.5e-3, 0.5e-3);
+        for i in 0..3 {
+            c[(i, i)] += floor[i] * floor[i];
+            c[(i + 3, i + 3)] += 0.2f64.to_radians().powi(2);
+        }
+        c
+    }
+}
