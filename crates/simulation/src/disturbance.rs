@@ -1,0 +1,74 @@
+//! Displaces an object once, in the middle of a run: what a closed loop has to survive.
+
+use crate::{Lab, SimulationError};
+use tdv_geometry::pose_distance;
+
+/// Which object is displaced, and when.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Victim {
+    /// The moving object, while the gripper approaches it.
+    Moving,
+    /// The reference object, while the moving object is carried.
+    Reference,
+}
+
+/// One displacement of 5 to 10 cm (see [`Lab::disturb`]).
+#[derive(Debug, Clone)]
+pub struct Disturbance {
+    victim: Victim,
+    seed: u64,
+    done: bool,
+}
+
+/// The approach counts as on its way when the tool is this near to the object (m) ...
+const NEAR: f64 = 0.22;
+/// ... but not yet so near that the fingers are about it.
+const TOO_NEAR: f64 = 0.12;
+/// The object counts as carried when it is this high above its start (m).
+const LIFTED: f64 = 0.05;
+
+impl Disturbance {
+    /// Even seeds displace the moving object, odd ones the reference.
+    pub fn new(seed: u64) -> Self {
+        let victim = if seed % 2 == 0 { Victim::Moving } else { Victim::Reference };
+        Self { victim, seed, done: false }
+    }
+
+    /// Which object it will be or was.
+    pub fn victim(&self) -> Victim {
+        self.victim
+    }
+
+    /// Whether it has happened.
+    pub fn is_done(&self) -> bool {
+        self.done
+    }
+
+    /// Call after every tick. Returns what was displaced and by how much (dx, dy in m) when it happens.
+    ///
+    /// # Errors
+    /// [`SimulationError::NoPlace`] when there is no room; it is tried again at the next call.
+    pub fn step(&mut self, lab: &mut Lab) -> Result<Option<(String, [f64; 2])>, SimulationError> {
+        if self.done {
+            return Ok(None);
+        }
+        let task = &lab.scene().task;
+        let (moving, reference) = (task.moving.clone(), task.reference.clone());
+        let object = lab.object_pose(&moving)?;
+        let ready = match self.victim {
+            Victim::Moving => {
+                let tcp = lab.tcp_pose();
+                let (d, _) = pose_distance(&tcp, &object);
+                (TOO_NEAR..NEAR).contains(&d) && !lab.held(&moving)?
+            }
+            Victim::Reference => object.translation.z > LIFTED && lab.held(&moving)?,
+        };
+        if !ready {
+            return Ok(None);
+        }
+        let name = if self.victim == Victim::Moving { moving } else { reference };
+        let by = lab.disturb(&name, self.seed)?;
+        self.done = true;
+        Ok(Some((name, by)))
+    }
+}

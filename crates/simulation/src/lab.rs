@@ -1,0 +1,497 @@
+//! The whole lab in one struct, stepped tick by tick: controller, gripper, physics, truth and judge.
+
+use crate::arm;
+use crate::contacts::Contacts;
+use crate::controller::{Controller, ServoInputs, StopReason};
+use crate::error::SimulationError;
+use crate::gripper::{Gripper, GripperRequest, GripperStatus};
+use crate::parts::Part;
+use crate::scene::{Knowledge, Scene, Stream, rng};
+use crate::trial::{Judge, Observed, PlacingGoal, Verdict};
+use crate::visual::RobotMeshes;
+use crate::world::{Body, DT, World, WorldConfig};
+use rand::Rng;
+use std::sync::Arc;
+use tdv_geometry::nalgebra::Translation3;
+use tdv_geometry::{Pose, Stamp, smooth_step};
+use tdv_rendering::{Mesh, ObjectFile};
+
+/// Instance number of the table in id images; objects have 1, 2, ... in the scene's order.
+pub const TABLE_ID: u16 = 1000;
+/// Instance number of the arm.
+pub const ARM_ID: u16 = 1001;
+/// Instance number of the gripper.
+pub const GRIPPER_ID: u16 = 1002;
+
+/// The scene with its objects' files and meshes; made once, shared by many trials.
+#[derive(Debug)]
+pub struct LabAssets {
+    /// The scene.
+    pub scene: Scene,
+    /// Its objects' files, in the scene's order.
+    pub files: Vec<ObjectFile>,
+    /// Their meshes.
+    pub meshes: Vec<Mesh>,
+    /// The robot's meshes.
+    pub robot: RobotMeshes,
+}
+
+impl LabAssets {
+    /// Loads all objects of a scene.
+    ///
+    /// # Errors
+    /// [`SimulationError::Object`].
+    pub fn load(scene: Scene) -> Result<Self, SimulationError> {
+        let mut files = Vec::new();
+        let mut meshes = Vec::new();
+        for object in &scene.objects {
+            let dir = scene.object_dir(&object.name);
+            let file = ObjectFile::load(&dir)?;
+            meshes.push(file.load_mesh(&dir)?);
+            files.push(file);
+        }
+        Ok(Self { scene, files, meshes, robot: RobotMeshes::new() })
+    }
+}
+
+/// A mesh to draw.
+#[derive(Debug, Clone, Copy)]
+pub struct LabInstance<'a> {
+    /// What.
+    pub mesh: &'a Mesh,
+    /// Where, in `base_link`.
+    pub pose: Pose,
+    /// Number in id images.
+    pub id: u16,
+}
+
+/// What went wrong physically so far. Truth: for evaluation only.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Incidents {
+    /// How often the arm or the gripper went into the table.
+    pub table_hits: u32,
+    /// How deep, m.
+    pub table_depth: f64,
+    /// How often the arm was stopped for protection.
+    pub protective_stops: u32,
+    /// Largest push against the arm, N.
+    pub peak_force: f64,
+}
+
+/// An object on its way to somewhere else.
+#[derive(Debug, Clone, Copy)]
+struct Slide {
+    object: usize,
+    from: Pose,
+    by: [f64; 2],
+    elapsed: f64,
+    duration: f64,
+}
+
+/// Deeper than this in the table (m) counts as a hit; the second number stops the arm.
+const TABLE_HIT: f64 = 0.001;
+const TABLE_STOP: f64 = 0.004;
+/// The push against the arm is smoothed over this long, s.
+const FORCE_SMOOTHING: f64 = 0.010;
+/// Ticks between two looks of the judge.
+const JUDGE_EVERY: u64 = 10;
+
+/// The lab.
+pub struct Lab {
+    assets: Arc<LabAssets>,
+    world: World,
+    controller: Controller,
+    gripper: Gripper,
+    inputs: ServoInputs,
+    contacts: Contacts,
+    force: f64,
+    in_table: bool,
+    incidents: Incidents,
+    knowledge: Knowledge,
+    slides: Vec<Slide>,
+    judge: Judge,
+    seed: u64,
+}
+
+impl Lab {
+    /// A lab whose starts are drawn from the seed.
+    ///
+    /// # Errors
+    /// [`SimulationError`] of the scene's objects and regions.
+    pub fn new(scene: &Scene, seed: u64) -> Result<Self, SimulationError> {
+        Self::from_assets(Arc::new(LabAssets::load(scene.clone())?), seed)
+    }
+
+    /// The same with objects loaded before.
+    ///
+    /// # Errors
+    /// [`SimulationError::Value`] of the scene's regions.
+    pub fn from_assets(assets: Arc<LabAssets>, seed: u64) -> Result<Self, SimulationError> {
+        let starts = assets.scene.draw_starts(seed)?;
+        Self::with_starts(assets, seed, &starts)
+    }
+
+    /// A lab with given start poses (`T_base_link_object`, in the scene's order; missing ones are
+    /// drawn). All else is drawn from the seed as usual.
+    ///
+    /// # Errors
+    /// [`SimulationError::Value`] of the scene's regions.
+    pub fn with_starts(
+        assets: Arc<LabAssets>,
+        seed: u64,
+        starts: &[Pose],
+    ) -> Result<Self, SimulationError> {
+        let scene = &assets.scene;
+        let drawn = scene.draw_starts(seed)?;
+        let bodies: Vec<Body> = assets
+            .files
+            .iter()
+            .zip(&scene.objects)
+            .enumerate()
+            .map(|(i, (file, object))| Body {
+                name: object.name.clone(),
+                mass: file.mass,
+                friction: file.friction,
+                parts: file.collision.iter().map(Part::from).collect(),
+                pose: starts.get(i).copied().unwrap_or(drawn[i]),
+            })
+            .collect();
+        let home = scene.robot.home;
+        let world = World::new(WorldConfig::default(), &bodies, &home);
+        let judge = make_judge(&assets, scene.task.goal)?;
+        let contacts = world.contacts();
+        let knowledge = scene.draw_knowledge(seed);
+        Ok(Self {
+            world,
+            controller: Controller::new(scene.robot.controller, home),
+            gripper: Gripper::new(),
+            inputs: ServoInputs::default(),
+            contacts,
+            force: 0.0,
+            in_table: false,
+            incidents: Incidents::default(),
+            knowledge,
+            slides: Vec::new(),
+            judge,
+            seed,
+            assets,
+        })
+    }
+
+    /// One tick of [`DT`] = 2 ms.
+    pub fn step(&mut self) {
+        self.controller.step(DT, &self.inputs);
+        let drive = self.gripper.step(DT, self.world.gap(), self.world.gap_rate());
+        self.world.set_drive(drive);
+        self.slide();
+        self.world.step(self.controller.q());
+        self.contacts = self.world.contacts();
+        self.protect();
+        if self.world.ticks() % JUDGE_EVERY == 0 {
+            self.look();
+        }
+    }
+
+    fn protect(&mut self) {
+        let push = self.contacts.robot_force.norm();
+        self.force += (push - self.force) * (DT / FORCE_SMOOTHING);
+        self.incidents.peak_force = self.incidents.peak_force.max(self.force);
+        let depth = -self.world.clearance();
+        self.incidents.table_depth = self.incidents.table_depth.max(depth.max(0.0));
+        if depth > TABLE_HIT && !self.in_table {
+            self.incidents.table_hits += 1;
+        }
+        self.in_table = depth > TABLE_HIT;
+        let reason = if depth > TABLE_STOP {
+            Some(StopReason::Table)
+        } else if self.force > self.assets.scene.robot.force_limit {
+            Some(StopReason::Force)
+        } else {
+            None
+        };
+        if let Some(reason) = reason
+            && self.controller.protective_stop().is_none()
+            // At rest there is nothing to stop: after an unlock the arm has to be able to leave.
+            && self.controller.qd().iter().any(|v| v.abs() > 1e-3)
+            && !self.leaving()
+        {
+            self.controller.protect(reason);
+            self.incidents.protective_stops += 1;
+        }
+    }
+
+    /// Whether the arm moves away from the table.
+    fn leaving(&self) -> bool {
+        let q = self.controller.q();
+        let ahead: [f64; 6] = std::array::from_fn(|i| q[i] + 0.01 * self.controller.qd()[i]);
+        arm::link_frames(&ahead)[6].translation.z > arm::link_frames(q)[6].translation.z + 1e-6
+    }
+
+    fn slide(&mut self) {
+        for s in &mut self.slides {
+            s.elapsed += DT;
+            let f = smooth_step(s.elapsed / s.duration);
+            let mut pose = s.from;
+            pose.translation.x += s.by[0] * f;
+            pose.translation.y += s.by[1] * f;
+            self.world.place_object(s.object, &pose);
+        }
+        self.slides.retain(|s| s.elapsed < s.duration);
+    }
+
+    fn look(&mut self) {
+        let seen: Vec<Observed> = (0..self.world.object_count())
+            .map(|i| {
+                let c = self.contacts.objects.get(i).copied().unwrap_or_default();
+                Observed {
+                    name: &self.assets.scene.objects[i].name,
+                    pose: self.world.object_pose(i),
+                    speed: self.world.object_speed(i),
+                    touched: c.robot(),
+                    fallen: c.floor || self.world.object_pose(i).translation.z < -0.1,
+                }
+            })
+            .collect();
+        self.judge.step(DT * JUDGE_EVERY as f64, &seen);
+    }
+
+    /// Simulated time since the lab began, s.
+    pub fn time(&self) -> f64 {
+        self.world.time()
+    }
+
+    /// The same as a stamp counted from `start`.
+    pub fn stamp(&self, start: Stamp) -> Stamp {
+        Stamp(start.0 + (self.world.ticks() * 2_000_000) as i64)
+    }
+
+    /// The seed it was made from.
+    pub fn seed(&self) -> u64 {
+        self.seed
+    }
+
+    /// The scene and its meshes.
+    pub fn assets(&self) -> &Arc<LabAssets> {
+        &self.assets
+    }
+
+    /// The scene.
+    pub fn scene(&self) -> &Scene {
+        &self.assets.scene
+    }
+
+    /// What the robot's side may know: never the exact numbers.
+    pub fn knowledge(&self) -> &Knowledge {
+        &self.knowledge
+    }
+
+    /// The physics.
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// The physics, to put objects somewhere.
+    pub fn world_mut(&mut self) -> &mut World {
+        &mut self.world
+    }
+
+    /// The UR controller.
+    pub fn controller(&self) -> &Controller {
+        &self.controller
+    }
+
+    /// The UR controller, for the dashboard.
+    pub fn controller_mut(&mut self) -> &mut Controller {
+        &mut self.controller
+    }
+
+    /// Writes the registers of the servo program.
+    pub fn set_servo_inputs(&mut self, inputs: ServoInputs) {
+        self.inputs = inputs;
+    }
+
+    /// The gripper's registers to read.
+    pub fn gripper_status(&self) -> GripperStatus {
+        self.gripper.status()
+    }
+
+    /// Writes the gripper's registers.
+    pub fn set_gripper_request(&mut self, request: GripperRequest) {
+        self.gripper.set_request(request);
+    }
+
+    /// Joint angles (rad) and speeds (rad/s).
+    pub fn joints(&self) -> (&[f64; 6], &[f64; 6]) {
+        (self.controller.q(), self.controller.qd())
+    }
+
+    /// The pull on the tool by what it carries and touches, N in `base_link`.
+    pub fn tool_force(&self) -> tdv_geometry::nalgebra::Vector3<f64> {
+        self.contacts.robot_force
+    }
+
+    /// Truth: name and pose (`T_base_link_object`) of every object.
+    pub fn objects(&self) -> impl Iterator<Item = (&str, Pose)> {
+        let names = self.assets.scene.objects.iter();
+        names.enumerate().map(move |(i, o)| (o.name.as_str(), self.world.object_pose(i)))
+    }
+
+    /// Truth: pose of one object.
+    ///
+    /// # Errors
+    /// [`SimulationError::UnknownObject`].
+    pub fn object_pose(&self, name: &str) -> Result<Pose, SimulationError> {
+        Ok(self.world.object_pose(self.assets.scene.index_of(name)?))
+    }
+
+    /// Truth: whether an object is in the grip, touched by both fingers and not by the table.
+    ///
+    /// # Errors
+    /// [`SimulationError::UnknownObject`].
+    pub fn held(&self, name: &str) -> Result<bool, SimulationError> {
+        let i = self.assets.scene.index_of(name)?;
+        let c = self.contacts.objects.get(i).copied().unwrap_or_default();
+        Ok(c.fingers[0] && c.fingers[1])
+    }
+
+    /// Truth: what touches what.
+    pub fn contacts(&self) -> &Contacts {
+        &self.contacts
+    }
+
+    /// Truth: mishaps so far.
+    pub fn incidents(&self) -> Incidents {
+        self.incidents
+    }
+
+    /// Says what the task's goal is (from a demonstration) and starts the trial's clock.
+    ///
+    /// # Errors
+    /// [`SimulationError::UnknownObject`].
+    pub fn begin_trial(&mut self, goal: PlacingGoal) -> Result<(), SimulationError> {
+        self.judge = make_judge(&self.assets, goal)?;
+        Ok(())
+    }
+
+    /// Truth: the verdict so far.
+    pub fn trial(&self) -> &Verdict {
+        self.judge.verdict()
+    }
+
+    /// Truth: ends the trial and returns its verdict; a trial not yet won is lost for the reason `why`.
+    pub fn conclude(&mut self, why: &str) -> Verdict {
+        self.look();
+        self.judge.conclude(why).clone()
+    }
+
+    /// Pushes an object over the table by (`dx`, `dy`) m within `duration` s (0: at once).
+    ///
+    /// # Errors
+    /// [`SimulationError::UnknownObject`]; [`SimulationError::NoPlace`] when it would leave the table
+    /// or bump into something.
+    pub fn displace(
+        &mut self,
+        name: &str,
+        dx: f64,
+        dy: f64,
+        duration: f64,
+    ) -> Result<(), SimulationError> {
+        let i = self.assets.scene.index_of(name)?;
+        if !self.place_is_free(i, [dx, dy]) {
+            let d = dx.hypot(dy);
+            return Err(SimulationError::NoPlace { name: name.into(), min: d, max: d });
+        }
+        let from = self.world.object_pose(i);
+        let duration = duration.max(DT);
+        self.slides.retain(|s| s.object != i);
+        self.slides.push(Slide { object: i, from, by: [dx, dy], elapsed: 0.0, duration });
+        Ok(())
+    }
+
+    /// Pushes an object by 5 to 10 cm in a direction drawn from the seed, within half a second;
+    /// returns (dx, dy). Of a held object the caller had better push the reference instead.
+    ///
+    /// # Errors
+    /// As [`displace`](Self::displace).
+    pub fn disturb(&mut self, name: &str, seed: u64) -> Result<[f64; 2], SimulationError> {
+        let i = self.assets.scene.index_of(name)?;
+        let mut rng = rng(seed, Stream::Disturbance);
+        for _ in 0..200 {
+            let length = rng.random_range(0.05..=0.10);
+            let angle: f64 = rng.random_range(0.0..std::f64::consts::TAU);
+            let by = [length * angle.cos(), length * angle.sin()];
+            if self.place_is_free(i, by) {
+                self.displace(name, by[0], by[1], 0.5)?;
+                return Ok(by);
+            }
+        }
+        Err(SimulationError::NoPlace { name: name.into(), min: 0.05, max: 0.10 })
+    }
+
+    /// Whether object `i` can be pushed by `by` without leaving the reachable part of the table or
+    /// bumping into another object or the gripper.
+    fn place_is_free(&self, i: usize, by: [f64; 2]) -> bool {
+        let from = self.world.object_pose(i).translation;
+        let to = Translation3::new(from.x + by[0], from.y + by[1], from.z);
+        if !(0.22..=0.74).contains(&to.x) || !(-0.32..=0.32).contains(&to.y) {
+            return false;
+        }
+        // Clear of everything along the whole push, not only at its end.
+        let clear = |x: f64, y: f64, reach: f64| {
+            (0..=10).all(|k| {
+                let f = f64::from(k) / 10.0;
+                (from.x + f * by[0] - x).hypot(from.y + f * by[1] - y) > reach
+            })
+        };
+        let others_clear = (0..self.world.object_count()).filter(|k| *k != i).all(|k| {
+            let o = self.world.object_pose(k).translation;
+            clear(o.x, o.y, self.radius(i) + self.radius(k) + 0.01)
+        });
+        let tool = self.world.link_poses()[6];
+        let tcp = tool * Translation3::new(0.0, 0.0, crate::gripper::TCP_OFFSET);
+        let low = tcp.translation.z < 0.20;
+        let t = tcp.translation;
+        others_clear && (!low || clear(t.x, t.y, self.radius(i) + 0.07))
+    }
+
+    /// Radius of an object's footprint about its origin, m.
+    fn radius(&self, i: usize) -> f64 {
+        self.assets.meshes.get(i).map_or(0.05, |m| {
+            m.positions.iter().map(|p| f64::from(p[0]).hypot(f64::from(p[1]))).fold(0.0, f64::max)
+        })
+    }
+
+    /// Everything to draw except table and background: objects, arm, gripper.
+    pub fn render_instances(&self) -> Vec<LabInstance<'_>> {
+        let mut out: Vec<LabInstance> = self
+            .assets
+            .meshes
+            .iter()
+            .enumerate()
+            .map(|(i, mesh)| LabInstance {
+                mesh,
+                pose: self.world.object_pose(i),
+                id: i as u16 + 1,
+            })
+            .collect();
+        let links = self.world.link_poses();
+        for (i, (mesh, pose)) in self.assets.robot.links.iter().zip(links).enumerate() {
+            let id = if i == 6 { GRIPPER_ID } else { ARM_ID };
+            out.push(LabInstance { mesh, pose, id });
+        }
+        for (mesh, pose) in self.assets.robot.fingers.iter().zip(self.world.finger_poses()) {
+            out.push(LabInstance { mesh, pose, id: GRIPPER_ID });
+        }
+        out
+    }
+}
+
+fn make_judge(assets: &LabAssets, goal: PlacingGoal) -> Result<Judge, SimulationError> {
+    let scene = &assets.scene;
+    let of = |name: &str| -> Result<_, SimulationError> {
+        let i = scene.index_of(name)?;
+        Ok((i, assets.files[i].symmetry.clone()))
+    };
+    let (moving, reference) = (of(&scene.task.moving)?, of(&scene.task.reference)?);
+    Ok(Judge::new(scene.task.success, goal, moving, reference))
+}

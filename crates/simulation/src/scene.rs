@@ -1,0 +1,469 @@
+//! Scene files (`config/scenes/NAME.yaml`): what stands where, and what is left to chance.
+
+use crate::controller::Generation;
+use crate::error::SimulationError;
+use crate::trial::{PlacingGoal, SuccessConfig};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use tdv_geometry::nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
+use tdv_geometry::{Pose, pose_from_xyz_rpy};
+use tdv_rendering::{Intrinsics, look_at};
+
+/// A rectangle and a range of yaw to draw a start from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StartRegion {
+    /// Range of x in `base_link`, m.
+    pub x: [f64; 2],
+    /// Range of y, m.
+    pub y: [f64; 2],
+    /// Range of yaw, deg.
+    pub yaw_deg: [f64; 2],
+    /// A disc that is left out.
+    #[serde(default)]
+    pub exclude: Option<Exclusion>,
+}
+
+/// A disc around another object in which nothing starts.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Exclusion {
+    /// Name of the other object; it has to stand before this one in the scene.
+    pub object: String,
+    /// Radius, m.
+    pub radius: f64,
+}
+
+/// A spot with a little chance around it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Spot {
+    /// x, y in `base_link`, m.
+    pub xy: [f64; 2],
+    /// Yaw, deg.
+    #[serde(default)]
+    pub yaw_deg: f64,
+    /// Each of x and y is off by at most this, m.
+    #[serde(default)]
+    pub jitter: f64,
+    /// Yaw is off by at most this, deg.
+    #[serde(default)]
+    pub jitter_deg: f64,
+}
+
+/// How an object gets its start pose.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Placement {
+    /// Anywhere in a region.
+    Region(StartRegion),
+    /// Near a spot.
+    Spot(Spot),
+}
+
+/// An object of the scene.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SceneObject {
+    /// Folder in `config/objects`, and the object's name in the scene.
+    pub name: String,
+    /// Its start.
+    pub start: Placement,
+}
+
+/// The camera.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraConfig {
+    /// Where it hangs in `base_link`, m.
+    pub eye: [f64; 3],
+    /// The point that it looks at, m.
+    pub target: [f64; 3],
+    /// Its pinhole numbers.
+    pub intrinsics: Intrinsics,
+    /// Frames per second.
+    pub rate: f64,
+}
+
+impl CameraConfig {
+    /// `T_base_link_camera_color_optical_frame`.
+    pub fn pose(&self) -> Pose {
+        look_at(&Point3::from(self.eye), &Point3::from(self.target))
+    }
+}
+
+/// The depth and colour noise of the camera.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct NoiseConfig {
+    /// Standard deviation of depth at 1 m, m; it grows with the square of depth.
+    pub depth_sigma: f64,
+    /// Share of the pixels at depth edges and grazing angles that have no reading, at least.
+    pub holes: f64,
+    /// Depth step at 1 m, m (a stereo camera's disparity step; grows with the square of depth).
+    pub quantisation: f64,
+    /// Standard deviation of colour, of 255.
+    pub color_sigma: f64,
+    /// The light's strength varies by this share.
+    pub light: f64,
+    /// Random things on the table that are no objects of the task.
+    pub distractors: usize,
+}
+
+impl Default for NoiseConfig {
+    fn default() -> Self {
+        Self {
+            depth_sigma: 0.0015,
+            holes: 0.05,
+            quantisation: 0.001,
+            color_sigma: 3.0,
+            light: 0.2,
+            distractors: 0,
+        }
+    }
+}
+
+/// The arm.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotConfig {
+    /// Joint angles at the start, rad.
+    pub home: [f64; 6],
+    /// Which controller is imitated.
+    #[serde(default)]
+    pub controller: Generation,
+    /// A push against the arm harder than this (N) stops it for protection.
+    #[serde(default = "default_force")]
+    pub force_limit: f64,
+}
+
+fn default_force() -> f64 {
+    150.0
+}
+
+/// How far the robot's knowledge may be off; every number is the bound of a uniform draw.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct KnowledgeErrors {
+    /// Share by which a mesh is too large or too small.
+    pub mesh_scale: f64,
+    /// The camera's place, m.
+    pub extrinsics: f64,
+    /// The camera's orientation, deg.
+    pub extrinsics_deg: f64,
+    /// Share by which focal lengths and principal point (of the half image size) are off.
+    pub intrinsics: f64,
+}
+
+impl Default for KnowledgeErrors {
+    fn default() -> Self {
+        Self { mesh_scale: 0.01, extrinsics: 0.003, extrinsics_deg: 0.5, intrinsics: 0.005 }
+    }
+}
+
+/// What has to be done in the scene.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlacingTask {
+    /// The object to be moved.
+    pub moving: String,
+    /// The object that it is placed on.
+    pub reference: String,
+    /// Where on it, unless a demonstration says otherwise.
+    #[serde(default)]
+    pub goal: PlacingGoal,
+    /// When that is done.
+    #[serde(default)]
+    pub success: SuccessConfig,
+}
+
+/// A scene file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Scene {
+    /// Its name.
+    pub name: String,
+    /// The objects; later ones may be placed relative to earlier ones.
+    pub objects: Vec<SceneObject>,
+    /// What has to be done.
+    pub task: PlacingTask,
+    /// The arm.
+    pub robot: RobotConfig,
+    /// The camera.
+    pub camera: CameraConfig,
+    /// Its noise.
+    #[serde(default)]
+    pub noise: NoiseConfig,
+    /// What the robot does not know exactly.
+    #[serde(default)]
+    pub errors: KnowledgeErrors,
+    /// Where the object folders are, relative to the scene file.
+    #[serde(default = "default_objects")]
+    pub objects_dir: PathBuf,
+    #[serde(skip)]
+    path: PathBuf,
+}
+
+fn default_objects() -> PathBuf {
+    PathBuf::from("../objects")
+}
+
+/// What the robot's side is told, with the errors drawn from a seed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Knowledge {
+    /// Factor on each object's mesh, in the scene's order.
+    pub mesh_scale: Vec<f64>,
+    /// `T_base_link_camera_color_optical_frame` as calibrated.
+    pub camera: Pose,
+    /// The camera's numbers as calibrated.
+    pub intrinsics: Intrinsics,
+}
+
+/// Separates the streams of random numbers, so that one more draw here moves nothing there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Stream {
+    Starts = 1,
+    Knowledge = 2,
+    Disturbance = 3,
+}
+
+pub(crate) fn rng(seed: u64, stream: Stream) -> ChaCha8Rng {
+    let mut r = ChaCha8Rng::seed_from_u64(seed);
+    r.set_stream(stream as u64);
+    r
+}
+
+impl Scene {
+    /// Reads and checks a scene file.
+    ///
+    /// # Errors
+    /// [`SimulationError::Io`], [`SimulationError::Parse`], [`SimulationError::Value`].
+    pub fn load(path: &Path) -> Result<Self, SimulationError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| SimulationError::Io { path: path.into(), source })?;
+        Self::parse(&text, path)
+    }
+
+    /// The same from text; `path` is named in errors and anchors `objects_dir`.
+    ///
+    /// # Errors
+    /// [`SimulationError::Parse`], [`SimulationError::Value`].
+    pub fn parse(text: &str, path: &Path) -> Result<Self, SimulationError> {
+        let mut scene: Self = serde_saphyr::from_str(text)
+            .map_err(|e| SimulationError::Parse { path: path.into(), reason: e.to_string() })?;
+        scene.path = path.into();
+        scene.check()?;
+        Ok(scene)
+    }
+
+    /// The file that it came from.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Folder of an object.
+    pub fn object_dir(&self, name: &str) -> PathBuf {
+        let base = self.path.parent().unwrap_or(Path::new("."));
+        base.join(&self.objects_dir).join(name)
+    }
+
+    /// Index of an object.
+    ///
+    /// # Errors
+    /// [`SimulationError::UnknownObject`].
+    pub fn index_of(&self, name: &str) -> Result<usize, SimulationError> {
+        self.objects.iter().position(|o| o.name == name).ok_or_else(|| {
+            let known: Vec<&str> = self.objects.iter().map(|o| o.name.as_str()).collect();
+            SimulationError::UnknownObject { name: name.into(), known: known.join(", ") }
+        })
+    }
+
+    fn check(&self) -> Result<(), SimulationError> {
+        let bad = |field: String, reason: String| {
+            Err(SimulationError::Value { path: self.path.clone(), field, reason })
+        };
+        for (i, o) in self.objects.iter().enumerate() {
+            let field = format!("objects[{i}] ({})", o.name);
+            let earlier = &self.objects[..i];
+            if earlier.iter().any(|e| e.name == o.name) {
+                return bad(field, "appears twice".into());
+            }
+            match &o.start {
+                Placement::Region(r) => {
+                    let finite = r.x.iter().chain(&r.y).chain(&r.yaw_deg).all(|v| v.is_finite());
+                    if !finite || r.x[0] > r.x[1] || r.y[0] > r.y[1] || r.yaw_deg[0] > r.yaw_deg[1]
+                    {
+                        return bad(field, "needs ranges written as [low, high]".into());
+                    }
+                    let Some(e) = &r.exclude else { continue };
+                    if !earlier.iter().any(|o| o.name == e.object) {
+                        return bad(
+                            field,
+                            format!("excludes a disc around `{}`, which is not listed before it", e.object),
+                        );
+                    }
+                    let area = (r.x[1] - r.x[0]) * (r.y[1] - r.y[0]);
+                    let disc = std::f64::consts::PI * e.radius * e.radius;
+                    if !(e.radius >= 0.0) || disc > 0.2 * area {
+                        return bad(
+                            field,
+                            format!("excludes {:.0} % of its region; at most 20 % (a tenth of what is cut off at the rim) is fair", 100.0 * disc / area),
+                        );
+                    }
+                }
+                Placement::Spot(s) => {
+                    let all = [s.xy[0], s.xy[1], s.yaw_deg, s.jitter, s.jitter_deg];
+                    if !all.iter().all(|v| v.is_finite()) || s.jitter < 0.0 || s.jitter_deg < 0.0 {
+                        return bad(field, "needs finite numbers and jitter >= 0".into());
+                    }
+                }
+            }
+        }
+        self.index_of(&self.task.moving)?;
+        self.index_of(&self.task.reference)?;
+        if self.task.moving == self.task.reference {
+            return bad("task".into(), "moves an object onto itself".into());
+        }
+        if !(self.camera.rate > 0.0 && self.camera.rate <= 120.0) {
+            return bad("camera.rate".into(), format!("{} is not between 0 and 120 Hz", self.camera.rate));
+        }
+        if !self.robot.home.iter().all(|q| q.abs() <= std::f64::consts::TAU) {
+            return bad("robot.home".into(), "has an angle outside +-2 pi".into());
+        }
+        let e = &self.errors;
+        if ![e.mesh_scale, e.extrinsics, e.extrinsics_deg, e.intrinsics].iter().all(|v| *v >= 0.0) {
+            return bad("errors".into(), "must not be negative".into());
+        }
+        Ok(())
+    }
+
+    /// Start poses of all objects (`T_base_link_object`), standing on the table. They are drawn before
+    /// anybody asks whether the arm can reach them.
+    ///
+    /// # Errors
+    /// [`SimulationError::Value`] when a region has no point outside its excluded disc.
+    pub fn draw_starts(&self, seed: u64) -> Result<Vec<Pose>, SimulationError> {
+        let mut rng = rng(seed, Stream::Starts);
+        let mut poses: Vec<Pose> = Vec::with_capacity(self.objects.len());
+        for (i, object) in self.objects.iter().enumerate() {
+            let pose = match &object.start {
+                Placement::Spot(s) => {
+                    let x = s.xy[0] + s.jitter * rng.random_range(-1.0..=1.0);
+                    let y = s.xy[1] + s.jitter * rng.random_range(-1.0..=1.0);
+                    let yaw = s.yaw_deg + s.jitter_deg * rng.random_range(-1.0..=1.0);
+                    Some(standing(x, y, yaw))
+                }
+                Placement::Region(r) => {
+                    let disc = r.exclude.as_ref().and_then(|e| {
+                        let at = self.objects.iter().position(|o| o.name == e.object)?;
+                        Some((poses.get(at)?.translation, e.radius))
+                    });
+                    (0..10_000).find_map(|_| {
+                        let x = rng.random_range(r.x[0]..=r.x[1]);
+                        let y = rng.random_range(r.y[0]..=r.y[1]);
+                        let yaw = rng.random_range(r.yaw_deg[0]..=r.yaw_deg[1]);
+                        let free = disc.is_none_or(|(c, d)| (x - c.x).hypot(y - c.y) >= d);
+                        free.then(|| standing(x, y, yaw))
+                    })
+                }
+            };
+            poses.push(pose.ok_or_else(|| SimulationError::Value {
+                path: self.path.clone(),
+                field: format!("objects[{i}] ({})", object.name),
+                reason: "has no point outside its excluded disc".into(),
+            })?);
+        }
+        Ok(poses)
+    }
+
+    /// What the robot's side is told: never the exact numbers.
+    pub fn draw_knowledge(&self, seed: u64) -> Knowledge {
+        let mut rng = rng(seed, Stream::Knowledge);
+        let e = self.errors;
+        let mut off = |bound: f64| bound * rng.random_range(-1.0..=1.0);
+        let mesh_scale = self.objects.iter().map(|_| 1.0 + off(e.mesh_scale)).collect();
+        let k = self.camera.intrinsics;
+        let intrinsics = Intrinsics {
+            fx: k.fx * (1.0 + off(e.intrinsics)),
+            fy: k.fy * (1.0 + off(e.intrinsics)),
+            cx: k.cx + off(e.intrinsics) * 0.5 * f64::from(k.width),
+            cy: k.cy + off(e.intrinsics) * 0.5 * f64::from(k.height),
+            ..k
+        };
+        // Drawn in the ball, so that the stated bound holds for the length and the angle.
+        let mut ball = |bound: f64| {
+            let v = Vector3::new(off(1.0), off(1.0), off(1.0));
+            v * (bound / v.norm().max(1.0))
+        };
+        let shift = Translation3::from(ball(e.extrinsics));
+        let turn = UnitQuaternion::from_scaled_axis(ball(e.extrinsics_deg.to_radians()));
+        let camera = self.camera.pose() * Pose::from_parts(shift, turn);
+        Knowledge { mesh_scale, camera, intrinsics }
+    }
+}
+
+fn standing(x: f64, y: f64, yaw_deg: f64) -> Pose {
+    pose_from_xyz_rpy([x, y, 0.0], [0.0, 0.0, yaw_deg.to_radians()])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tdv_geometry::pose_distance;
+
+    fn scene() -> Scene {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("../../config/scenes/cup_on_coaster.yaml");
+        Scene::load(&path).unwrap()
+    }
+
+    #[test]
+    fn starts_fill_the_region_and_spare_the_disc() {
+        let s = scene();
+        let (mut low, mut high) = ([f64::MAX; 2], [f64::MIN; 2]);
+        for seed in 0..400 {
+            let p = s.draw_starts(seed).unwrap();
+            assert_eq!(p, s.draw_starts(seed).unwrap());
+            let (mug, coaster) = (p[s.index_of("mug").unwrap()], p[s.index_of("coaster").unwrap()]);
+            let (x, y) = (mug.translation.x, mug.translation.y);
+            assert!((0.25..=0.70).contains(&x) && (-0.25..=0.25).contains(&y));
+            assert!((x - coaster.translation.x).hypot(y - coaster.translation.y) >= 0.11);
+            low = [low[0].min(x), low[1].min(y)];
+            high = [high[0].max(x), high[1].max(y)];
+        }
+        assert!(high[0] - low[0] > 0.44 && high[1] - low[1] > 0.49);
+    }
+
+    #[test]
+    fn knowledge_is_off_within_the_bounds_and_never_exact() {
+        let s = scene();
+        let (mut far, mut turned): (f64, f64) = (0.0, 0.0);
+        for seed in 0..200 {
+            let k = s.draw_knowledge(seed);
+            let (d, a) = pose_distance(&k.camera, &s.camera.pose());
+            assert!(d > 0.0 && d <= 0.003 && a <= 0.5_f64.to_radians() + 1e-12);
+            (far, turned) = (far.max(d), turned.max(a));
+            assert!(k.mesh_scale.iter().all(|f| (f - 1.0).abs() <= 0.01 && *f != 1.0));
+            assert!((k.intrinsics.fx / s.camera.intrinsics.fx - 1.0).abs() <= 0.005);
+        }
+        assert!(far > 0.0025 && turned > 0.4_f64.to_radians());
+    }
+
+    #[test]
+    fn bad_scenes_are_named() {
+        let good = std::fs::read_to_string(scene().path()).unwrap();
+        let path = Path::new("scene.yaml");
+        for (from, to, word) in [
+            ("moving: mug", "moving: cup", "cup"),
+            ("rate: 30", "rate: 0", "camera.rate"),
+            ("radius: 0.11", "radius: 0.5", "excludes"),
+            ("name: cup_on_coaster", "name: cup_on_coaster\ncolour: red", "colour"),
+        ] {
+            assert!(good.contains(from), "{from}");
+            let e = Scene::parse(&good.replace(from, to), path).unwrap_err().to_string();
+            assert!(e.contains(word), "{e}");
+        }
+    }
+}

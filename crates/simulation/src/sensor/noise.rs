@@ -1,0 +1,144 @@
+//! Cheap random fields: hashes instead of a generator, so that any pixel can be drawn alone.
+
+use std::sync::LazyLock;
+
+/// Mixes 32 bits until every input bit reaches every output bit.
+pub(crate) fn hash(mut x: u32) -> u32 {
+    x ^= x >> 16;
+    x = x.wrapping_mul(0x7feb_352d);
+    x ^= x >> 15;
+    x = x.wrapping_mul(0x846c_a68b);
+    x ^ (x >> 16)
+}
+
+/// A key out of seed, frame number and the purpose of the numbers.
+pub(crate) fn key(seed: u64, frame: u64, purpose: u32) -> u32 {
+    let mut k = hash(purpose.wrapping_add(0x9e37_79b9));
+    for part in [seed as u32, (seed >> 32) as u32, frame as u32, (frame >> 32) as u32] {
+        k = hash(k.rotate_left(5) ^ part.wrapping_mul(0x85eb_ca6b));
+    }
+    k
+}
+
+/// Uniform in 0..1 from 16 bits of a hash.
+pub(crate) fn unit(bits: u32) -> f32 {
+    (bits & 0xffff) as f32 / 65536.0
+}
+
+/// Standard normal numbers by table: 1024 equally likely values of unit variance (the largest is
+/// about 3.4).
+pub(crate) struct Gaussian([f32; 1024]);
+
+impl Gaussian {
+    /// The table, made once.
+    pub(crate) fn table() -> &'static Self {
+        static TABLE: LazyLock<Gaussian> = LazyLock::new(Gaussian::build);
+        &TABLE
+    }
+
+    fn build() -> Self {
+        // Walk the distribution function and note where it passes each quantile.
+        let mut out = [0.0_f32; 1024];
+        let (mut x, mut below, step) = (-6.0_f64, 0.0_f64, 1e-4);
+        let density = |x: f64| (-0.5 * x * x).exp() / (2.0 * std::f64::consts::PI).sqrt();
+        for (i, slot) in out.iter_mut().enumerate() {
+            let quantile = (i as f64 + 0.5) / 1024.0;
+            while below < quantile {
+                below += density(x + 0.5 * step) * step;
+                x += step;
+            }
+            *slot = x as f32;
+        }
+        let variance = out.iter().map(|v| v * v).sum::<f32>() / 1024.0;
+        Self(out.map(|v| v / variance.sqrt()))
+    }
+
+    /// From the lowest ten bits of a hash.
+    pub(crate) fn at(&self, bits: u32) -> f32 {
+        self.0[(bits & 1023) as usize]
+    }
+}
+
+/// A standard normal field that is smooth over patches of `cell` pixels: normal numbers on a coarse
+/// grid, interpolated, and rescaled so that every pixel has unit variance.
+pub(crate) struct Patches {
+    cell: usize,
+    key: u32,
+    columns: usize,
+    /// Interpolation weights within a cell.
+    weights: Vec<[f32; 2]>,
+    coarse: Vec<f32>,
+}
+
+impl Patches {
+    pub(crate) fn new(width: usize, cell: usize, key: u32) -> Self {
+        let cell = cell.max(1);
+        let weights = (0..cell)
+            .map(|i| {
+                let t = i as f32 / cell as f32;
+                let norm = ((1.0 - t) * (1.0 - t) + t * t).sqrt();
+                [(1.0 - t) / norm, t / norm]
+            })
+            .collect();
+        let columns = width / cell + 2;
+        Self { cell, key, columns, weights, coarse: vec![0.0; columns] }
+    }
+
+    /// The field along row `y`.
+    pub(crate) fn row(&mut self, y: usize, out: &mut [f32]) {
+        let table = Gaussian::table();
+        let node = |cx: usize, cy: usize| {
+            table.at(hash(self.key ^ hash((cy as u32) << 16 ^ cx as u32)))
+        };
+        let [a, b] = self.weights[y % self.cell];
+        let cy = y / self.cell;
+        for (cx, slot) in self.coarse.iter_mut().enumerate().take(self.columns) {
+            *slot = a * node(cx, cy) + b * node(cx, cy + 1);
+        }
+        for (cells, chunk) in self.coarse.windows(2).zip(out.chunks_mut(self.cell)) {
+            for (slot, w) in chunk.iter_mut().zip(&self.weights) {
+                *slot = w[0] * cells[0] + w[1] * cells[1];
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fields_have_unit_variance_and_the_stated_reach() {
+        let (w, h) = (600, 300);
+        let mut field = Patches::new(w, 6, key(3, 4, 5));
+        let mut all = vec![0.0; w * h];
+        for (y, row) in all.chunks_mut(w).enumerate() {
+            field.row(y, row);
+        }
+        let n = (w * h) as f32;
+        let mean = all.iter().sum::<f32>() / n;
+        let variance = all.iter().map(|v| v * v).sum::<f32>() / n;
+        assert!(mean.abs() < 0.03 && (variance - 1.0).abs() < 0.05, "{mean} {variance}");
+        let lag = |d: usize| {
+            all.windows(d + 1).map(|v| v[0] * v[d]).sum::<f32>() / (n * variance)
+        };
+        assert!(lag(1) > 0.8 && lag(20).abs() < 0.05, "{} {}", lag(1), lag(20));
+    }
+
+    #[test]
+    fn hashes_are_uniform_and_keys_differ() {
+        let n = 100_000;
+        let mean = (0..n).map(|i| unit(hash(i))).sum::<f32>() / n as f32;
+        assert!((mean - 0.5).abs() < 0.005);
+        let table = Gaussian::table();
+        let neighbours = (0..n)
+            .map(|i| table.at(hash(key(1, 2, 3) ^ i)) * table.at(hash(key(1, 2, 3) ^ (i + 1))))
+            .sum::<f32>()
+            / n as f32;
+        assert!(neighbours.abs() < 0.015, "{neighbours}");
+        let keys = [key(1, 0, 0), key(0, 1, 0), key(0, 0, 1), key(1 << 40, 0, 0), key(0, 0, 0)];
+        for (i, a) in keys.iter().enumerate() {
+            assert!(keys[..i].iter().all(|b| a != b));
+        }
+    }
+}

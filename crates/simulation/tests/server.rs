@@ -1,0 +1,218 @@
+//! The lab's controller over real sockets, driven in lockstep: the test steps the lab itself.
+
+use std::io::{Read, Write};
+use std::net::{Ipv4Addr, TcpStream};
+use std::path::Path;
+use std::time::Duration;
+use tdv_simulation::ur_server::{ServerConfig, UrServer};
+use tdv_simulation::{Lab, Scene};
+use tdv_ur_protocol::rtde::{ClientPackage, FrameReader, Recipe, ServerPackage, Value};
+use tdv_ur_protocol::servo;
+
+const ANY_PORT: ServerConfig = ServerConfig {
+    address: std::net::IpAddr::V4(Ipv4Addr::LOCALHOST),
+    rtde: 0,
+    gripper: 0,
+    dashboard: 0,
+};
+
+struct Bench {
+    server: UrServer,
+    lab: Lab,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("../../config/scenes/cup_on_coaster.yaml");
+        let lab = Lab::new(&Scene::load(&path).unwrap(), 7).unwrap();
+        let server = UrServer::start(ANY_PORT, lab.controller().generation()).unwrap();
+        Self { server, lab }
+    }
+
+    fn tick(&mut self) {
+        self.server.exchange(&mut self.lab);
+        self.lab.step();
+        std::thread::sleep(Duration::from_millis(1));
+    }
+
+    /// Steps until `done`; panics after a number of ticks that no healthy machine needs.
+    fn until(&mut self, what: &str, mut done: impl FnMut(&mut Self) -> bool) {
+        for _ in 0..20_000 {
+            if done(self) {
+                return;
+            }
+            self.tick();
+        }
+        panic!("{what} did not happen");
+    }
+}
+
+struct Rtde {
+    stream: TcpStream,
+    frames: FrameReader,
+}
+
+impl Rtde {
+    fn connect(bench: &Bench) -> Self {
+        let stream = TcpStream::connect(bench.server.addresses()[0]).unwrap();
+        stream.set_nonblocking(true).unwrap();
+        Self { stream, frames: FrameReader::default() }
+    }
+
+    fn send(&mut self, p: &ClientPackage) {
+        self.stream.write_all(&p.to_bytes()).unwrap();
+    }
+
+    fn poll(&mut self) -> Option<ServerPackage> {
+        let mut buffer = [0; 4096];
+        if let Ok(n) = self.stream.read(&mut buffer) {
+            self.frames.push(&buffer[..n]);
+        }
+        self.frames.next_frame().unwrap().map(|f| ServerPackage::parse(f).unwrap())
+    }
+
+    fn ask(&mut self, bench: &mut Bench, p: &ClientPackage) -> ServerPackage {
+        self.send(p);
+        let mut answer = None;
+        bench.until("an answer", |_| {
+            answer = self.poll();
+            answer.is_some()
+        });
+        answer.unwrap()
+    }
+}
+
+fn names(list: &[&str]) -> Vec<String> {
+    list.iter().map(|n| (*n).to_owned()).collect()
+}
+
+#[test]
+fn handshake_stream_servo_and_watchdog() {
+    let mut bench = Bench::new();
+    let mut c = Rtde::connect(&bench);
+    assert_eq!(
+        c.ask(&mut bench, &ClientPackage::ProtocolVersion(2)),
+        ServerPackage::ProtocolVersion(true)
+    );
+    assert!(matches!(
+        c.ask(&mut bench, &ClientPackage::ControllerVersion),
+        ServerPackage::ControllerVersion([3, 15, ..])
+    ));
+    let fields = ["timestamp", "actual_q", servo::PROGRAM_STATE, servo::HEARTBEAT_ECHO];
+    let setup = ClientPackage::SetupOutputs { frequency: 125.0, names: names(&fields) };
+    let ServerPackage::SetupOutputs { id, types } = c.ask(&mut bench, &setup) else { panic!() };
+    let outputs = Recipe::from_answer(id, &fields, &types).unwrap();
+    let mut wanted = vec![servo::COMMAND, servo::HEARTBEAT];
+    wanted.extend(servo::TARGETS);
+    let setup = ClientPackage::SetupInputs { names: names(&wanted) };
+    let ServerPackage::SetupInputs { id, types } = c.ask(&mut bench, &setup) else { panic!() };
+    let inputs = Recipe::from_answer(id, &wanted, &types).unwrap();
+    assert_eq!(c.ask(&mut bench, &ClientPackage::Start), ServerPackage::Start(true));
+
+    let home = *bench.lab.joints().0;
+    let mut target = home;
+    let mut stamps = Vec::new();
+    let mut beat = 0;
+    let mut last = Vec::new();
+    bench.until("0.2 rad of servo motion", |bench| {
+        while let Some(ServerPackage::Data(payload)) = c.poll() {
+            last = outputs.decode(&payload).unwrap();
+            stamps.push(last[0].as_f64().unwrap());
+            beat += 1;
+            target[0] = (target[0] + 0.004).min(home[0] + 0.2);
+            let mut values = vec![Value::Int32(1), Value::Int32(beat)];
+            values.extend(target.map(Value::Double));
+            c.send(&ClientPackage::Data(inputs.encode(&values).unwrap()));
+        }
+        (bench.lab.joints().0[0] - home[0] - 0.2).abs() < 1e-3
+    });
+    assert_eq!(last[2], Value::Int32(servo::ProgramState::Servoing as i32));
+    let gap = stamps.windows(2).map(|w| w[1] - w[0]).fold(f64::MAX, f64::min);
+    assert!(gap > 0.0079, "125 Hz, got {gap}");
+    // Silence: the watchdog stops the program.
+    bench.until("the watchdog", |b| {
+        b.lab.controller().program_state() == servo::ProgramState::WatchdogStop
+    });
+    // A second client may not take the registers; when the first one goes, it may.
+    let mut second = Rtde::connect(&bench);
+    let ServerPackage::SetupInputs { types, .. } = second.ask(&mut bench, &setup) else { panic!() };
+    assert!(types.starts_with("IN_USE"), "{types}");
+    drop(c);
+    bench.until("the first client's end", |b| b.server.clients() == 1);
+    let ServerPackage::SetupInputs { id, .. } = second.ask(&mut bench, &setup) else { panic!() };
+    assert_eq!(id, 1);
+}
+
+#[test]
+fn garbage_ends_its_own_connection_only() {
+    let mut bench = Bench::new();
+    let mut good = Rtde::connect(&bench);
+    good.ask(&mut bench, &ClientPackage::ProtocolVersion(2));
+    for garbage in [&b"GET / HTTP/1.1\r\n\r\n"[..], &[0, 3, 200], &[0, 3, b'O'], &[0, 4, b'U', 9]] {
+        let mut bad = TcpStream::connect(bench.server.addresses()[0]).unwrap();
+        bad.write_all(garbage).unwrap();
+        bad.set_nonblocking(true).unwrap();
+        let mut buffer = [0; 64];
+        bench.until("the disconnection", |_| {
+            matches!(bad.read(&mut buffer), Ok(0))
+                || bad.peek(&mut buffer).is_err_and(|e| e.kind() == std::io::ErrorKind::ConnectionReset)
+        });
+    }
+    assert!(matches!(
+        good.ask(&mut bench, &ClientPackage::ControllerVersion),
+        ServerPackage::ControllerVersion(_)
+    ));
+}
+
+fn line(bench: &mut Bench, stream: &mut TcpStream, ask: &str) -> String {
+    stream.write_all(ask.as_bytes()).unwrap();
+    let mut got = String::new();
+    bench.until("an answer", |_| {
+        let mut buffer = [0; 256];
+        if let Ok(n) = stream.read(&mut buffer) {
+            got.push_str(&String::from_utf8_lossy(&buffer[..n]));
+        }
+        got.ends_with('\n')
+    });
+    got.trim_end().to_owned()
+}
+
+#[test]
+fn gripper_activates_closes_and_says_so() {
+    let mut bench = Bench::new();
+    let mut g = TcpStream::connect(bench.server.addresses()[1]).unwrap();
+    g.set_nonblocking(true).unwrap();
+    assert_eq!(line(&mut bench, &mut g, "GET STA\n"), "STA 0");
+    assert_eq!(line(&mut bench, &mut g, "nonsense\n"), "?");
+    assert_eq!(line(&mut bench, &mut g, "SET ACT 1\n"), "ack");
+    while line(&mut bench, &mut g, "GET STA\n") != "STA 3" {}
+    assert_eq!(line(&mut bench, &mut g, "SET POS 255 SPE 255 FOR 50 GTO 1\n"), "ack");
+    while line(&mut bench, &mut g, "GET PRE\n") != "PRE 255" {}
+    while line(&mut bench, &mut g, "GET OBJ\n") == "OBJ 0" {}
+    assert_eq!(line(&mut bench, &mut g, "GET OBJ\n"), "OBJ 3");
+    assert_eq!(line(&mut bench, &mut g, "GET POS\n"), "POS 230");
+    assert!(bench.lab.world().gap() < 0.001);
+}
+
+#[test]
+fn dashboard_answers() {
+    let mut bench = Bench::new();
+    let mut d = TcpStream::connect(bench.server.addresses()[2]).unwrap();
+    d.set_nonblocking(true).unwrap();
+    assert!(line(&mut bench, &mut d, "").starts_with("Connected: "));
+    assert_eq!(line(&mut bench, &mut d, "robotmode\n"), "Robotmode: RUNNING");
+    assert_eq!(line(&mut bench, &mut d, "stop\n"), "Stopped");
+    assert_eq!(line(&mut bench, &mut d, "running\n"), "Program running: false");
+    assert_eq!(line(&mut bench, &mut d, "play\n"), "Starting program");
+    assert!(line(&mut bench, &mut d, "dance\n").contains("could not understand"));
+    assert_eq!(line(&mut bench, &mut d, "quit\n"), "Disconnected");
+}
+
+#[test]
+fn a_taken_port_is_named() {
+    let bench = Bench::new();
+    let config = ServerConfig { rtde: bench.server.addresses()[0].port(), ..ANY_PORT };
+    let e = UrServer::start(config, bench.lab.controller().generation()).err().unwrap();
+    assert!(e.to_string().contains("RTDE") && e.to_string().contains("127.0.0.1"), "{e}");
+}
