@@ -1,0 +1,224 @@
+//! `reach`: from anywhere in the home region over a point above the object straight down its approach.
+
+use super::check::{TIP, above_table, finite};
+use super::sampling::{Spread, downward, in_disc, lerp, small_turn, symmetric, tilt};
+use super::{Made, Maker, canonical_start, limits};
+use crate::path::{Limits, arcs, retime, round_corners};
+use crate::{
+    Demonstration, DemonstrationError, GenerationMode, ObjectShape, ProcedureDemo, Task, warp_paper,
+};
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use tdv_geometry::Pose;
+use tdv_geometry::nalgebra::{UnitQuaternion, Vector3};
+
+/// Half width (m) over which corners of the path are rounded.
+const ROUND: f64 = 0.03;
+/// Half the width of the open fingers and their carriers (m), beside the tcp.
+const FINGERS: f64 = 0.06;
+
+pub(super) struct Reach<'a> {
+    task: &'a Task,
+    procedure: &'a ProcedureDemo,
+    nominal: Pose,
+    shape: ObjectShape,
+    plan: ReachPlan,
+    spread: Spread,
+}
+
+impl<'a> Reach<'a> {
+    pub(super) fn new(
+        demo: &Demonstration,
+        task: &'a Task,
+        procedure: &'a ProcedureDemo,
+        rng: &mut ChaCha8Rng,
+    ) -> Result<Self, DemonstrationError> {
+        let Some(shape) = task.objects.get(&procedure.reference).cloned() else {
+            return Err(DemonstrationError::Invalid {
+                what: format!("task '{}'", task.name),
+                problems: vec![format!("objects has no entry for '{}'", procedure.reference)],
+            });
+        };
+        let plan = ReachPlan::new(
+            procedure.goal(),
+            &shape,
+            task.generation.pregrasp_distance,
+            task.generation.margin,
+        );
+        let nominal = demo.reference_pose;
+        Ok(Self { task, procedure, nominal, shape, plan, spread: Spread::new(7, rng) })
+    }
+}
+
+impl Maker for Reach<'_> {
+    fn ordinary(&mut self, rng: &mut ChaCha8Rng) -> Result<Made, String> {
+        self.spread.advance();
+        let s: [f64; 7] = std::array::from_fn(|i| self.spread.coordinate(i));
+        let config = &self.task.generation;
+        let w = &self.task.workspace;
+        let xy = [lerp(w.x, s[0]), lerp(w.y, s[1])];
+        if !w.allows(xy, [self.nominal.translation.x, self.nominal.translation.y]) {
+            return Err("start in the excluded disc".into());
+        }
+        let about = |a: f64| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), a);
+        let yaw = lerp(config.yaw_deg, s[2]).to_radians();
+        let object = Pose::from_parts([xy[0], xy[1], -self.shape.bottom].into(), about(yaw));
+        let h = &config.home;
+        let at = [lerp(h.x, s[3]), lerp(h.y, s[4]), lerp(h.z, s[5])];
+        let tool_yaw = std::f64::consts::PI * (2.0 * s[6] - 1.0);
+        let tool = downward(at, tool_yaw, tilt(rng, h.tilt_deg.to_radians()));
+        let start = object.inverse() * tool;
+        let start = canonical_start(self.procedure, &start, rng).apply(&start);
+        let (path, rule) = match config.mode {
+            GenerationMode::Paper => {
+                let demo: Vec<Pose> = self.procedure.trajectory.poses().copied().collect();
+                let demo = retime(&demo, &limits(config, 0.0), config.retime.dt);
+                (warp_paper(&demo, &start, config.alpha)?.poses, "paper")
+            }
+            GenerationMode::Repaired => {
+                let path = self.plan.path(&start);
+                self.plan.check(&path)?;
+                (path, "approach")
+            }
+        };
+        finite(&path)?;
+        Ok(Made { path, reference: object, rule })
+    }
+
+    fn recovery(&mut self, base: &Made, rng: &mut ChaCha8Rng) -> Result<Made, String> {
+        let r = &self.task.generation.recovery;
+        let arcs = arcs(&base.path);
+        let total = arcs[arcs.len() - 1];
+        let at = total * (0.05 + 0.93 * rng.random::<f64>());
+        let j = arcs.partition_point(|s| *s < at).min(base.path.len() - 2);
+        let p = base.path[j];
+        let displaced = rng.random::<f64>() < r.displaced_share;
+        // Between the object's walls and the fingers there are only millimetres.
+        let room = ((total - arcs[j]) / 0.15).clamp(0.1, 1.0);
+        let shift = if displaced {
+            let [x, y] = in_disc(rng, r.displaced);
+            Vector3::new(x, y, symmetric(rng, 0.5 * r.position))
+        } else {
+            let a = r.position * room;
+            Vector3::new(symmetric(rng, a), symmetric(rng, a), symmetric(rng, a))
+        };
+        let turn = small_turn(rng, r.angle_deg.to_radians() * if displaced { 1.0 } else { room });
+        let mut start = Pose::from_parts((p.translation.vector + shift).into(), p.rotation * turn);
+        let floor = self.shape.bottom + TIP + 0.005;
+        start.translation.z = start.translation.z.max(floor);
+        if self.plan.is_inside(&start) {
+            return Err("beside the path inside the object".into());
+        }
+        let path = self.plan.path(&start);
+        self.plan.check(&path)?;
+        finite(&path)?;
+        Ok(Made { path, reference: base.reference, rule: "recovery" })
+    }
+
+    fn tool(&self, reference: &Pose, pose: &Pose) -> Pose {
+        reference * pose
+    }
+
+    fn limits(&self) -> Limits {
+        limits(&self.task.generation, self.task.generation.pregrasp_distance)
+    }
+}
+
+/// The geometry of reaching for an object, in its frame.
+pub(super) struct ReachPlan {
+    grasp: Pose,
+    approach: Vector3<f64>,
+    /// Length of the straight last part (m).
+    length: f64,
+    /// Height of the tcp (m) at which the object is crossed.
+    safe: f64,
+    top: f64,
+    bottom: f64,
+    radius: f64,
+    margin: f64,
+}
+
+impl ReachPlan {
+    pub(super) fn new(grasp: Pose, shape: &ObjectShape, distance: f64, margin: f64) -> Self {
+        let approach = grasp.rotation * Vector3::z();
+        let safe = shape.top() + margin + TIP + ROUND;
+        // From above the straight part has to begin where the fingers clear the object.
+        let down = -approach.z;
+        let length = if down > 0.3 {
+            distance.max((safe - grasp.translation.z) / down)
+        } else {
+            distance.max(shape.radius + FINGERS)
+        };
+        let (top, bottom, radius) = (shape.top(), shape.bottom, shape.radius);
+        Self { grasp, approach, length, safe, top, bottom, radius, margin }
+    }
+
+    /// Distance before the grasp along the approach, distance beside it, and angle to it.
+    fn beside(&self, pose: &Pose) -> (f64, f64, f64) {
+        let d = pose.translation.vector - self.grasp.translation.vector;
+        let along = -d.dot(&self.approach);
+        let beside = (d + self.approach * along).norm();
+        (along, beside, pose.rotation.angle_to(&self.grasp.rotation))
+    }
+
+    /// Near enough to the approach line to go on along it: 10 mm at the grasp, opening upwards.
+    fn in_funnel(&self, pose: &Pose) -> bool {
+        let (along, beside, angle) = self.beside(pose);
+        (-0.02..=self.length).contains(&along)
+            && beside <= 0.010 + 0.35 * along.max(0.0)
+            && angle <= 0.15 + 2.5 * along.max(0.0)
+    }
+
+    /// A tool that cannot be there because the object is.
+    pub(super) fn is_inside(&self, pose: &Pose) -> bool {
+        let p = &pose.translation;
+        p.z - TIP < self.top && p.x.hypot(p.y) < self.radius && !self.in_funnel(pose)
+    }
+
+    /// Start -> (up to a safe height) -> above the pregrasp -> pregrasp -> grasp, corners rounded; from
+    /// inside the funnel back onto the approach line.
+    pub(super) fn path(&self, start: &Pose) -> Vec<Pose> {
+        let back = |d: f64| {
+            let p = self.grasp.translation.vector - self.approach * d;
+            Pose::from_parts(p.into(), self.grasp.rotation)
+        };
+        let (along, beside, _) = self.beside(start);
+        if self.in_funnel(start) {
+            let join = along - (1.5 * beside).max(0.3 * along);
+            let mut corners = vec![*start];
+            if join > 0.003 {
+                corners.push(back(join));
+            }
+            corners.push(self.grasp);
+            return round_corners(&corners, 0.5 * ROUND, (0.5 * join).clamp(0.0, 0.02));
+        }
+        let pre = back(self.length);
+        let mut corners = vec![*start];
+        let raised = |p: &Pose| {
+            let mut q = *p;
+            q.translation.z = q.translation.z.max(self.safe);
+            q
+        };
+        corners.push(raised(start));
+        corners.push(raised(&pre));
+        corners.push(pre);
+        corners.push(self.grasp);
+        round_corners(&corners, ROUND, (self.length - ROUND).max(0.02))
+    }
+
+    /// Fingers neither through the table nor through the object.
+    pub(super) fn check(&self, path: &[Pose]) -> Result<(), String> {
+        above_table(path, self.bottom)?;
+        let Some(first) = path.first() else { return Ok(()) };
+        for p in path {
+            let t = &p.translation;
+            let near = t.x.hypot(t.y) < self.radius + FINGERS;
+            let low = t.z - TIP < self.top + 0.5 * self.margin;
+            let risen = (t.x - first.translation.x).hypot(t.y - first.translation.y) > 0.005;
+            if near && low && risen && !self.in_funnel(p) {
+                return Err("sweeps the object".into());
+            }
+        }
+        Ok(())
+    }
+}
