@@ -5,8 +5,10 @@
 //! flying pixels at edges, and other things in front of the hand. So:
 //!
 //! 1. The shape is fitted to the pixels and to the depth readings: rotation, translation and size,
-//!    by robust least squares whose gate on the depth narrows from [`GATES`]`[0]` to its last value.
-//!    Readings stand on the skin; the joint's centre lies [`HALF_THICKNESS`] behind it.
+//!    by robust least squares with a narrowing gate on the depth, from several first distances, of
+//!    which the most plausible outcome is kept (something may stand in front of the hand, but
+//!    nothing is seen through it). Readings stand on the skin; the joint's centre lies
+//!    [`HALF_THICKNESS`] behind it.
 //! 2. The fit is stiff and the shape is wrong by about a centimetre here and there. What is left
 //!    of the readings near the fitted joints is followed joint by joint, smoothly along the bones,
 //!    so that a joint without reading moves with its neighbours.
@@ -27,7 +29,7 @@ pub const HALF_THICKNESS: [f64; JOINTS] = [
 ];
 
 /// The bones: pairs of joints, and the palm's cross links.
-const BONES: [(usize, usize); 23] = [
+pub(super) const BONES: [(usize, usize); 23] = [
     (0, 1),
     (1, 2),
     (2, 3),
@@ -54,7 +56,7 @@ const BONES: [(usize, usize); 23] = [
 ];
 
 /// Readings further than this from the fitted skin are left out, metres, round by round.
-const GATES: [f64; 6] = [0.12, 0.08, 0.05, 0.035, 0.025, 0.025];
+const GATES: [f64; 5] = [0.045, 0.035, 0.03, 0.025, 0.025];
 /// Standard deviation of a depth reading against the fitted shape, metres (the shape's own error
 /// dominates it).
 const SIGMA_FIT: f64 = 0.008;
@@ -97,10 +99,17 @@ pub fn lift(
     depth: &DepthImage,
     k: &Intrinsics,
 ) -> Option<Lifted> {
-    let mut fit = Fit::start(pixels, shape, depth, k)?;
-    for gate in GATES {
-        fit.refine(gate)?;
+    let mut best: Option<(f64, Fit<'_>)> = None;
+    for distance in first_distances(pixels, depth) {
+        let Some(mut fit) = Fit::start(pixels, shape, depth, k, distance) else { continue };
+        if GATES.iter().all(|gate| fit.refine(*gate).is_some()) {
+            let cost = fit.cost();
+            if best.as_ref().is_none_or(|(least, _)| cost < *least) {
+                best = Some((cost, fit));
+            }
+        }
     }
+    let (_, fit) = best?;
     let size = fit.size;
     let (depths, measured) = fit.follow_readings();
     let joints = std::array::from_fn(|i| k.unproject(pixels[i].0, pixels[i].1, depths[i]));
@@ -108,6 +117,27 @@ pub fn lift(
         && (0.5..=2.0).contains(&size)
         && depths.iter().all(|z| RANGE.contains(z));
     sound.then_some(Lifted { joints, measured, size })
+}
+
+/// Distances to start from, metres: quantiles of the readings at the joints and a little behind
+/// them, so that one of them is near the hand even if most joints are hidden. Empty if there are
+/// too few readings.
+fn first_distances(pixels: &[(f64, f64); JOINTS], depth: &DepthImage) -> Vec<f64> {
+    let mut readings: Vec<f64> =
+        pixels.iter().filter_map(|pixel| median(&mut window(depth, *pixel, 1.5))).collect();
+    if readings.len() < LEAST_READINGS {
+        return Vec::new();
+    }
+    readings.sort_by(f64::total_cmp);
+    let quantile = |part: f64| readings[(part * (readings.len() - 1) as f64) as usize] + 0.01;
+    let mut distances: Vec<f64> = [0.1, 0.3, 0.5, 0.7, 0.9]
+        .into_iter()
+        .flat_map(|part| [quantile(part), quantile(part) + 0.04])
+        .collect();
+    distances.sort_by(f64::total_cmp);
+    // Fits from nearly the same distance end alike.
+    distances.dedup_by(|a, b| (*a - *b).abs() < 0.015);
+    distances
 }
 
 /// The fit's state: joint i stands at `size * turn * shape[i] + place`.
@@ -125,26 +155,19 @@ struct Fit<'a> {
 }
 
 impl<'a> Fit<'a> {
-    /// First guess: the distance from the readings at the joints, the rest from the pixels.
+    /// First guess at a distance (m); the rest comes from the pixels.
     fn start(
         pixels: &'a [(f64, f64); JOINTS],
         shape: &[Vector3<f64>; JOINTS],
         depth: &'a DepthImage,
         k: &'a Intrinsics,
+        distance: f64,
     ) -> Option<Self> {
         let finite = pixels.iter().all(|(u, v)| u.is_finite() && v.is_finite())
             && shape.iter().all(|p| p.iter().all(|value| value.is_finite()));
         if !finite {
             return None;
         }
-        let mut readings: Vec<f64> =
-            (0..JOINTS).filter_map(|i| median(&mut window(depth, pixels[i], 1.5))).collect();
-        if readings.len() < LEAST_READINGS {
-            return None;
-        }
-        readings.sort_by(f64::total_cmp);
-        let distance = readings[readings.len() * 2 / 5] + 0.01;
-
         let count = JOINTS as f64;
         let middle = pixels.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0 / count, s.1 + p.1 / count));
         let centre = shape.iter().sum::<Vector3<f64>>() / count;
@@ -267,6 +290,35 @@ impl<'a> Fit<'a> {
         Some(())
     }
 
+    /// How badly the fit explains the image, for the comparison of fits.
+    fn cost(&self) -> f64 {
+        let gate = GATES[GATES.len() - 1];
+        let mut cost = 0.5 * (self.size.ln() / SIGMA_SIZE).powi(2);
+        for i in 0..JOINTS {
+            let p = self.joint(i);
+            let du = self.k.fx * p.x / p.z + self.k.cx - self.pixels[i].0;
+            let dv = self.k.fy * p.y / p.z + self.k.cy - self.pixels[i].1;
+            cost += 0.1 * (du.hypot(dv) / self.sigma_pixel).powi(2).min(9.0);
+            let radius = self.radius(i, p.z);
+            cost += match median(&mut window(self.depth, self.pixels[i], radius)) {
+                None => 0.5,
+                Some(reading) => {
+                    let before = p.z - HALF_THICKNESS[i] * self.size - reading;
+                    if before < -gate {
+                        // The camera looks through the joint.
+                        2.5
+                    } else if before > gate {
+                        // Something stands in front of it.
+                        1.0
+                    } else {
+                        (before / gate).powi(2)
+                    }
+                }
+            };
+        }
+        cost
+    }
+
     /// Whether another part of the fitted hand stands in front of joint `i`.
     fn is_covered(&self, i: usize) -> bool {
         let (joint, pixel) = (self.joint(i), self.pixels[i]);
@@ -352,3 +404,6 @@ fn median(values: &mut [f64]) -> Option<f64> {
     }
     Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
+
+#[cfg(test)]
+mod tests;

@@ -11,6 +11,10 @@ pub mod landmark;
 pub mod lift;
 pub mod network;
 pub mod palm;
+#[cfg(test)]
+mod testing;
+#[cfg(test)]
+mod tests;
 mod warp;
 
 use std::path::Path;
