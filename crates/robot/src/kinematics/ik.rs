@@ -5,12 +5,14 @@ use tdv_geometry::Pose;
 
 /// Sine of the wrist-2 angle below which wrist 1 and wrist 3 turn about one line.
 const WRIST_SINGULAR: f64 = 1e-9;
+/// Sine below which joint 6 may be moved a little without the pose showing it; solutions are checked.
+const NEAR_SINGULAR: f64 = 1e-3;
 /// How far outside its range a cosine may be by rounding and still mean "stretched".
 const ROUNDING: f64 = 1e-9;
 /// Two solutions closer than this (rad, each joint) are one.
 const SAME: f64 = 1e-7;
 /// A solution must reproduce its target this well (m and rad) to be given.
-const RESIDUAL: f64 = 1e-8;
+const RESIDUAL: f64 = 5e-10;
 
 /// Up to eight joint solutions in a fixed order, without allocation; dereferences to a slice.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -55,6 +57,9 @@ pub(super) fn solve(dh: &DhTable, target: &Pose, free: f64) -> IkSolutions {
     {
         return out;
     }
+    // Chains of products leave quaternions a little off unit length, which would show as a residual.
+    let rotation = UnitQuaternion::new_normalize(target.rotation.into_inner());
+    let target = &Pose::from_parts(target.translation, rotation);
     let p05 = target * nalgebra::Point3::new(0.0, 0.0, -dh.d6);
     let r2 = p05.x * p05.x + p05.y * p05.y;
     let along2 = r2 - dh.d4 * dh.d4;
@@ -72,19 +77,54 @@ pub(super) fn solve(dh: &DhTable, target: &Pose, free: f64) -> IkSolutions {
         for sign in [1.0, -1.0] {
             let q5 = sign * sine.atan2(z1.z);
             let q6 = if sine < WRIST_SINGULAR { free } else { (-sign * z1.y).atan2(sign * z1.x) };
-            planar(dh, target, [q1, q5, q6], &mut out);
+            let reached = planar(dh, target, [q1, q5, q6], &mut out);
+            if !reached && sine < NEAR_SINGULAR {
+                // Joint 6 is (almost) free, and some of its values put wrist 1 out of reach.
+                if let Some(q6) = reachable_q6(dh, target, [q1, q5, q6]) {
+                    planar(dh, target, [q1, q5, q6], &mut out);
+                }
+            }
         }
     }
     out
 }
 
-/// Joints 2, 3, 4 for given joints 1, 5, 6.
-fn planar(dh: &DhTable, target: &Pose, [q1, q5, q6]: [f64; 3], out: &mut IkSolutions) {
-    let t14 = dh.joint(0, q1).inverse() * target * (dh.joint(4, q5) * dh.joint(5, q6)).inverse();
+/// Pose of frame 4 in frame 1 for given joints 1, 5, 6.
+fn wrist(dh: &DhTable, target: &Pose, [q1, q5, q6]: [f64; 3]) -> Pose {
+    dh.joint(0, q1).inverse() * target * (dh.joint(4, q5) * dh.joint(5, q6)).inverse()
+}
+
+/// The value of joint 6 nearest to the given one for which wrist 1 is in the planar arm's reach.
+///
+/// Wrist 1 runs on a circle as joint 6 turns, so its squared distance from the shoulder is
+/// `mean + swing cos(q6 - phase)`, and the reach bounds the cosine.
+fn reachable_q6(dh: &DhTable, target: &Pose, [q1, q5, q6]: [f64; 3]) -> Option<f64> {
+    let at = |q6: f64| wrist(dh, target, [q1, q5, q6]).translation.vector.xy();
+    let (p0, p1, p2) = (at(0.0), at(FRAC_PI_2), at(PI));
+    let centre = 0.5 * (p0 + p2);
+    let (a, b) = (centre.dot(&(0.5 * (p0 - p2))), centre.dot(&(p1 - centre)));
+    let (swing, phase) = (2.0 * a.hypot(b), b.atan2(a));
+    let mean = centre.norm_squared() + (p1 - centre).norm_squared();
+    let cosine = |reach: f64| (reach * reach - mean) / swing;
+    let (least, most) = (cosine(dh.a2 - dh.a3), cosine(dh.a2 + dh.a3));
+    let wanted = wrap(q6 - phase);
+    let bound = wanted.cos().clamp(least.max(-1.0), most.max(-1.0));
+    let in_range = bound.abs() <= 1.0 + ROUNDING && most >= -1.0 - ROUNDING;
+    in_range.then(|| phase + bound.clamp(-1.0, 1.0).acos().copysign(wanted))
+}
+
+/// Joints 2, 3, 4 for given joints 1, 5, 6; false when wrist 1 is out of reach.
+fn planar(
+    dh: &DhTable,
+    target: &Pose,
+    [q1, q5, q6]: [f64; 3],
+    out: &mut IkSolutions,
+) -> bool {
+    let t14 = wrist(dh, target, [q1, q5, q6]);
     let (x, y) = (t14.translation.x, t14.translation.y);
     let mut c3 = (x * x + y * y - dh.a2 * dh.a2 - dh.a3 * dh.a3) / (2.0 * dh.a2 * dh.a3);
     if c3.abs() > 1.0 + ROUNDING {
-        return; // out of reach
+        return false;
     }
     c3 = c3.clamp(-1.0, 1.0);
     let s3 = (1.0 - c3 * c3).sqrt();
@@ -102,6 +142,7 @@ fn planar(dh: &DhTable, target: &Pose, [q1, q5, q6]: [f64; 3], out: &mut IkSolut
             out.push(q);
         }
     }
+    true
 }
 
 /// Metres and radians; accurate for small angles, where an arc cosine is not.

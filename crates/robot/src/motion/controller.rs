@@ -275,8 +275,11 @@ impl ArmController {
         };
         let by_itself = self.params.auto_resume
             && h.cause.ends_by_itself()
-            && now.since(self.held_since) >= LEAST_HOLD
-            && (h.cause != Cause::Stale || fresh());
+            && match h.cause {
+                // The motion goes on from wherever the stop has come to.
+                Cause::Stale => fresh(),
+                _ => now.since(self.held_since) >= LEAST_HOLD,
+            };
         if !(asked || by_itself) || !input.enable || !(input.speed_scaling >= STOPPED) {
             return;
         }

@@ -48,7 +48,8 @@ pub(super) fn step(
 ) -> MotionState {
     let a_max = limits.joint_acceleration * MARGIN;
     let mut v_ref: Joints = std::array::from_fn(|i| {
-        let e = q[i] - s.q[i];
+        // The target now, not one step on: at a steady rate the error is then zero.
+        let e = q[i] - qd[i] * dt - s.q[i];
         // Linear near the target; farther off no faster than can be braked at half the acceleration.
         let approach = (gains.position * e.abs()).min((a_max * e.abs()).sqrt());
         qd[i] + approach.copysign(e)

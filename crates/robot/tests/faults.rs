@@ -1,0 +1,324 @@
+//! Every kind of trouble: the arm comes to rest, the status says why, and it goes on when told to.
+
+mod bench;
+
+use bench::*;
+use tdv_geometry::{Pose, pose_distance};
+use tdv_robot::collision::fingertip_height;
+use tdv_robot::motion::{Plan, Requests, StatusCode as S};
+use tdv_robot::{ArmController, ControllerParams};
+
+fn strict() -> Bench {
+    let mut b = Bench::new(ControllerParams::default());
+    b.tick();
+    b.input.requests.resume = true;
+    b
+}
+
+fn lab() -> Bench {
+    Bench::new(ControllerParams { auto_resume: true, ..Default::default() })
+}
+
+fn desired_speed(b: &Bench) -> f64 {
+    let d = b.executor.sample(b.now);
+    d.map_or(0.0, |d| d.qd.iter().fold(0.0, |m: f64, v| m.max(v.abs())))
+}
+
+/// Runs until the driver's target is at rest; seconds it took.
+fn until_rest(b: &mut Bench) -> f64 {
+    let begin = b.now;
+    for _ in 0..200 {
+        b.tick();
+        if desired_speed(b) < 1e-9 {
+            break;
+        }
+    }
+    b.now.since(begin)
+}
+
+fn assert_still(b: &mut Bench, seconds: f64) {
+    let before = b.k.fk_tcp(&b.q);
+    b.run(seconds);
+    let moved = pose_distance(&before, &b.k.fk_tcp(&b.q)).0;
+    assert!(moved < 0.004, "moved {:.1} mm: {}", moved * 1e3, b.last_sentence());
+}
+
+#[test]
+fn nothing_moves_before_joint_states_and_before_resume() {
+    let mut c =
+        ArmController::new(tdv_robot::Kinematics::ur5(), ControllerParams::default()).unwrap();
+    let mut b = strict();
+    b.input.joints = None;
+    let out = c.step(b.now, &b.input);
+    assert_eq!(out.status.code, S::WaitingForJoints);
+    let mut nan = b.input.clone();
+    nan.joints = Some(tdv_robot::motion::JointState {
+        stamp: b.now,
+        q: [f64::NAN; 6],
+        qd: [0.0; 6],
+    });
+    let out = c.step(b.now, &nan);
+    assert!(out.trajectory.is_none() && out.status.sentence.contains("NaN"), "{:?}", out.status);
+    let mut b = Bench::new(ControllerParams::default());
+    b.run(2.0);
+    assert_eq!((b.last_code(), b.log.paths), (S::Ready, 0));
+    b.input.requests.resume = true;
+    b.run(1.0);
+    assert_eq!(b.last_code(), S::Following);
+}
+
+#[test]
+fn a_dead_controller_means_a_stopped_arm() {
+    for n in 0..12 {
+        let mut b = strict();
+        b.run(0.9 + 0.173 * f64::from(n));
+        assert!(desired_speed(&b) > 0.01, "moving when killed");
+        b.alive = false;
+        let t = until_rest(&mut b);
+        assert!(t <= 0.2 + 2.0 * TICK, "at rest after {t}");
+    }
+}
+
+#[test]
+fn stale_observations_stop_the_arm_within_350_ms_until_resume() {
+    let mut worst: f64 = 0.0;
+    for n in 0..12 {
+        let mut b = strict();
+        b.run(1.2 + 0.171 * f64::from(n));
+        b.perceive = false;
+        let last = b.now;
+        until_rest(&mut b);
+        worst = worst.max(b.now.since(last));
+        b.run(0.3);
+        assert_eq!(b.last_code(), S::HoldStale);
+        assert!(b.last_sentence().contains("ms old"), "{}", b.last_sentence());
+        b.perceive = true;
+        assert_still(&mut b, 1.0);
+        b.input.requests.resume = true;
+        b.run(40.0);
+        assert_eq!(b.last_code(), S::Done, "{:?} {}", b.log.codes, b.last_sentence());
+    }
+    println!("at rest {worst:.3} s after the last frame at the latest");
+    assert!(worst <= 0.350 + TICK, "{worst}");
+}
+
+#[test]
+fn bad_plans_move_nothing() {
+    let cases: [(&str, fn(&mut Plan)); 7] = [
+        ("not a finite pose", |p| p.poses[5].translation.vector.x = f64::NAN),
+        ("not a finite pose", |p| p.reference_pose.translation.vector.z = f64::INFINITY),
+        ("poses, expected", |p| p.poses.clear()),
+        ("dt is", |p| p.dt = -0.05),
+        ("in the future", |p| p.stamp = p.stamp.plus(1.0)),
+        ("ms old", |p| p.stamp = p.stamp.plus(-1.0)),
+        ("it jumps", |p| p.reference_pose.translation.vector.x -= 0.30),
+    ];
+    for (says, tamper) in cases {
+        let mut b = strict();
+        b.tamper = Some(tamper);
+        b.run(1.0);
+        assert_eq!(b.log.paths, 0, "{says}");
+        assert!(b.last_sentence().contains(says), "{says}: {}", b.last_sentence());
+        // In mid-motion the last good plan is followed while it is fresh, then the arm holds.
+        let mut b = strict();
+        b.run(1.5);
+        b.tamper = Some(tamper);
+        let begin = b.now;
+        until_rest(&mut b);
+        let took = b.now.since(begin);
+        b.run(0.3);
+        assert_eq!(b.last_code(), S::HoldStale, "{says}");
+        assert!(b.last_sentence().contains(says), "{says}: {}", b.last_sentence());
+        assert!(took <= 0.350 + 0.034 + TICK, "{says}: {took}");
+    }
+}
+
+#[test]
+fn nothing_goes_through_the_table() {
+    let mut b = lab();
+    b.tamper = Some(|p| p.reference_pose.translation.vector.z -= 0.12);
+    let mut least = f64::INFINITY;
+    for _ in 0..1500 {
+        b.tick();
+        if let Some(d) = b.executor.sample(b.now) {
+            least = least.min(fingertip_height(&b.k.fk(&d.q), 0.7929));
+        }
+    }
+    println!("lowest fingertips {:.1} mm: {}", least * 1e3, b.last_sentence());
+    let clearance = b.controller.params().limits.fingertip_clearance;
+    assert!(least >= clearance - 1e-3, "{least}");
+    assert!(b.log.codes.contains(&S::HoldRefused));
+    assert!(b.log.sentences.iter().any(|s| s.contains("above the table")), "{:?}", b.log.sentences);
+}
+
+#[test]
+fn a_plan_a_little_too_low_slides_along_the_table() {
+    let mut b = lab();
+    b.attach = Pose::identity();
+    let low = b.references[0].inverse() * down(0.58, 0.18, 0.012, 0.6);
+    let start = b.policies[0].path[0];
+    b.policies[0].path = path(start, low, 0.0);
+    b.run(8.0);
+    assert_eq!(b.last_code(), S::Following, "{}", b.last_sentence());
+    let d = b.executor.sample(b.now).unwrap();
+    let height = fingertip_height(&b.k.fk(&d.q), 0.7929);
+    assert!((height - 0.005).abs() < 0.001, "{height}");
+}
+
+#[test]
+fn out_of_reach_is_refused_where_it_begins() {
+    let mut b = lab();
+    let mut params = ControllerParams { auto_resume: true, ..Default::default() };
+    params.limits.workspace_x = [0.0, 2.0];
+    b.controller = ArmController::new(b.k.clone(), params).unwrap();
+    let start = b.policies[0].path[0];
+    b.policies[0].path = path(start, b.references[0].inverse() * down(1.1, 0.0, 0.3, 0.3), 0.0);
+    b.run(12.0);
+    assert!(b.log.codes.contains(&S::HoldRefused));
+    assert!(b.log.sentences.iter().any(|s| s.contains("out of reach")), "{:?}", b.log.sentences);
+}
+
+#[test]
+fn a_failed_grip_is_tried_again() {
+    let mut b = lab();
+    b.object = None;
+    let mut low = f64::INFINITY;
+    let mut recovered = None;
+    for _ in 0..3000 {
+        let Some(out) = b.tick() else { continue };
+        let z = b.k.fk_tcp(&b.q).translation.z;
+        low = low.min(z);
+        let ended = b.policies[0].at_end(&b.relative());
+        if b.procedure == 0 && ended && out.status.code == S::Following && recovered.is_none() {
+            b.procedure = 1;
+        }
+        if out.reset_switch {
+            recovered = Some(z);
+            b.object = Some(0.064);
+        }
+    }
+    assert!(recovered.unwrap() - low > 0.09, "backed off 0.1 m before starting over");
+    assert!(b.log.sentences.iter().any(|s| s.contains("grip failed: the fingers closed to 1.")));
+    b.run(30.0);
+    assert_eq!(b.last_code(), S::Done, "{:?}", b.log.codes);
+}
+
+#[test]
+fn a_lost_object_is_noticed() {
+    let mut b = lab();
+    b.run(7.0);
+    assert_eq!((b.last_code(), b.procedure), (S::Following, 1), "{}", b.last_sentence());
+    b.object = None;
+    b.run(0.5);
+    assert_eq!(b.last_code(), S::Recovering);
+    assert!(b.last_sentence().contains("object lost"), "{}", b.last_sentence());
+    b.object = Some(0.064);
+    b.run(40.0);
+    assert_eq!(b.last_code(), S::Done, "{:?}", b.log.codes);
+}
+
+#[test]
+fn pause_resume_abort_reset_and_enable() {
+    let mut b = lab();
+    b.run(1.5);
+    b.input.requests = Requests { pause: true, ..Default::default() };
+    assert!(until_rest(&mut b) <= 0.2 + 2.0 * TICK);
+    assert_eq!(b.last_code(), S::Paused);
+    assert_still(&mut b, 1.0);
+    b.input.requests.resume = true;
+    b.run(0.5);
+    assert_eq!(b.last_code(), S::Following);
+    b.input.enable = false;
+    b.run(0.5);
+    assert_eq!(b.last_code(), S::Disabled);
+    b.input.enable = true;
+    b.run(0.5);
+    assert_eq!(b.last_code(), S::Following, "the lab goes on by itself");
+    b.input.requests.abort = true;
+    b.run(0.5);
+    b.input.requests.resume = true;
+    assert_still(&mut b, 0.5);
+    assert_eq!(b.last_code(), S::Aborted);
+    b.input.requests.reset = true;
+    b.run(40.0);
+    assert_eq!(b.last_code(), S::Done, "{:?}", b.log.codes);
+    assert!(b.log.codes.contains(&S::Preparing));
+}
+
+#[test]
+fn missing_joint_states_and_an_arm_that_does_not_follow() {
+    let mut b = strict();
+    b.run(1.5);
+    b.lag = 1e9; // a protective stop: targets go out, nothing moves
+    b.run(2.0);
+    assert_eq!(b.last_code(), S::HoldJoints);
+    assert!(b.last_sentence().contains("does not follow"), "{}", b.last_sentence());
+    b.lag = 0.045;
+    b.executor.hold(b.now, b.q);
+    b.input.requests.resume = true;
+    b.run(40.0);
+    assert_eq!(b.last_code(), S::Done, "goes on from the measured joints: {:?}", b.log.codes);
+
+    let mut b = strict();
+    b.run(1.5);
+    let frozen = b.input.joints;
+    for _ in 0..60 {
+        b.now = b.now.plus(TICK);
+        b.input.joints = frozen;
+        let out = b.controller.step(b.now, &b.input);
+        if out.status.code == S::HoldJoints {
+            assert!(out.status.sentence.contains("driver"), "{}", out.status.sentence);
+        }
+        b.log.codes.push(out.status.code);
+    }
+    assert_eq!(b.last_code(), S::HoldJoints);
+}
+
+#[test]
+fn a_restarted_controller_goes_on_with_the_object_in_hand() {
+    let mut b = lab();
+    b.run(7.0);
+    assert_eq!((b.last_code(), b.procedure), (S::Following, 1));
+    b.alive = false;
+    b.run(1.0);
+    b.controller = ArmController::new(b.k.clone(), ControllerParams::default()).unwrap();
+    b.alive = true;
+    b.run(1.0);
+    assert_eq!(b.last_code(), S::Ready);
+    b.input.requests.resume = true;
+    b.run(40.0);
+    assert_eq!(b.last_code(), S::Done, "{:?} {}", b.log.codes, b.last_sentence());
+    assert!(!b.log.codes.contains(&S::Recovering));
+}
+
+#[test]
+fn a_gripper_that_does_not_open_is_named() {
+    let mut b = lab();
+    b.run(7.0);
+    b.complete = true;
+    for _ in 0..600 {
+        let before = b.knuckle;
+        b.tick();
+        b.knuckle = before.max(b.knuckle); // stuck
+    }
+    assert_eq!(b.last_code(), S::HoldGripper);
+    assert!(b.last_sentence().contains("knuckle at 0.2"), "{}", b.last_sentence());
+}
+
+#[test]
+fn home_and_speed_scaling() {
+    let mut b = lab();
+    b.perceive = false;
+    b.run(0.5);
+    b.input.requests.home = true;
+    b.run(6.0);
+    assert!(b.log.codes.contains(&S::Homing));
+    let home = b.controller.params().home;
+    assert!((0..6).all(|i| (b.q[i] - home[i]).abs() < 0.005), "{:?}", b.q);
+    b.input.speed_scaling = 0.0;
+    b.run(0.2);
+    assert_eq!(b.last_code(), S::Disabled);
+    b.input.speed_scaling = f64::NAN;
+    b.run(0.2);
+    assert_eq!(b.last_code(), S::Disabled);
+}
