@@ -1,8 +1,10 @@
 //! Full (non-causal) multi-head self-attention on packed projections, softmax(q k^T / sqrt(dh)) v.
 //! The backward pass recomputes the probabilities instead of storing them.
 
-use super::dispatch;
-use super::math::{axpy, dot, exp};
+use super::math::{dot, exp, sum};
+use super::{Strided, dispatch, panel, simd_level};
+
+const LANES: usize = 16;
 
 /// Sizes of `qkv[batch, tokens, 3, heads, head]` and of the result `[batch, tokens, heads, head]`.
 #[derive(Debug, Clone, Copy)]
@@ -18,47 +20,76 @@ pub struct AttentionShape {
 }
 
 impl AttentionShape {
+    /// Tokens rounded up to whole vectors.
+    fn padded(&self) -> usize {
+        self.tokens.next_multiple_of(LANES)
+    }
+
     /// Floats of scratch that the two kernels need.
     pub fn scratch(&self) -> usize {
-        let s = self.tokens;
-        2 * s * s + 2 * self.head * s
+        let n = self.padded();
+        2 * self.head * n + 4 * n * n
+    }
+
+    fn check(&self, qkv: &[f32], out: &[f32], scratch: &[f32]) {
+        let rows = self.batch * self.tokens * self.heads * self.head;
+        assert!(self.head.is_multiple_of(LANES), "heads are whole vectors wide");
+        assert!(qkv.len() >= 3 * rows && out.len() >= rows && scratch.len() >= self.scratch());
     }
 }
 
 dispatch! {
-    /// `out = softmax(q k^T / sqrt(head)) v`; `scratch` as [`AttentionShape::scratch`] says.
+    /// `out = softmax(q k^T / sqrt(head)) v`; `scratch` as [`AttentionShape::scratch`] says, and the
+    /// width of a head a multiple of 16.
     pub fn attention(s: AttentionShape, qkv: &[f32], out: &mut [f32], scratch: &mut [f32]) = forward
 }
 
-/// Transposes rows `0..tokens` of one head (`at` apart by `stride`) into `to[head][tokens]`.
+/// Transposes rows `0..tokens` of one head (`stride` apart) into `to[head][padded]`.
 #[inline(always)]
 fn transpose(from: &[f32], stride: usize, to: &mut [f32], tokens: usize, head: usize) {
+    let padded = to.len() / head;
     for (t, row) in from.chunks(stride).take(tokens).enumerate() {
-        for c in 0..head {
-            to[c * tokens + t] = row[c];
+        for (c, v) in row[..head].iter().enumerate() {
+            to[c * padded + t] = *v;
         }
     }
 }
 
-/// One row of `q k^T * scale` from the transposed keys, then its softmax if asked.
-#[inline(always)]
-fn row_product<const FMA: bool>(q: &[f32], kt: &[f32], scale: f32, row: &mut [f32]) {
-    row.fill(0.0);
-    for (c, q) in q.iter().enumerate() {
-        axpy::<FMA>(q * scale, &kt[c * row.len()..][..row.len()], row);
+/// `c[rows, columns] = a[rows, depth] b[depth, columns]`, all with own row distances, columns a
+/// multiple of 16.
+fn multiply(
+    [rows, depth, columns]: [usize; 3],
+    (a, a_row): (&[f32], usize),
+    (b, b_row): (&[f32], usize),
+    (c, c_row): (&mut [f32], usize),
+) {
+    for c in c.chunks_mut(c_row).take(rows) {
+        c[..columns].fill(0.0);
+    }
+    let a = Strided { data: a, row: a_row, column: 1 };
+    let level = simd_level();
+    for at in (0..columns).step_by(2 * LANES) {
+        let (b, c) = (&b[at..], &mut c[at..]);
+        if at + 2 * LANES <= columns {
+            panel::<2>(level, [rows, depth], a, b, b_row, c, c_row);
+        } else {
+            panel::<1>(level, [rows, depth], a, b, b_row, c, c_row);
+        }
     }
 }
 
+/// Softmax of the first `n` values times `scale`; what pads the row becomes zero.
 #[inline(always)]
-fn softmax<const FMA: bool>(row: &mut [f32]) {
+fn softmax<const FMA: bool>(row: &mut [f32], n: usize, scale: f32) {
     let mut max = f32::NEG_INFINITY;
-    for v in row.iter() {
+    for v in &row[..n] {
         max = if *v > max { *v } else { max };
     }
     for v in row.iter_mut() {
-        *v = exp::<FMA>(*v - max);
+        *v = exp::<FMA>((*v - max) * scale);
     }
-    let r = 1.0 / super::math::sum(row);
+    row[n..].fill(0.0);
+    let r = 1.0 / sum(row);
     for v in row.iter_mut() {
         *v *= r;
     }
@@ -66,24 +97,24 @@ fn softmax<const FMA: bool>(row: &mut [f32]) {
 
 #[inline(always)]
 fn forward<const FMA: bool>(s: AttentionShape, qkv: &[f32], out: &mut [f32], scratch: &mut [f32]) {
+    s.check(qkv, out, scratch);
     let (n, dh, d) = (s.tokens, s.head, s.heads * s.head);
+    let np = s.padded();
     let scale = 1.0 / (dh as f32).sqrt();
-    let (kt, rest) = scratch.split_at_mut(dh * n);
-    let row = &mut rest[..n];
+    let (kt, rest) = scratch.split_at_mut(dh * np);
+    let p = &mut rest[..n * np];
+    kt.fill(0.0);
     for b in 0..s.batch {
         let qkv = &qkv[b * n * 3 * d..][..n * 3 * d];
         let out = &mut out[b * n * d..][..n * d];
         for h in 0..s.heads {
-            transpose(&qkv[d + h * dh..], 3 * d, kt, n, dh);
-            for t in 0..n {
-                row_product::<FMA>(&qkv[t * 3 * d + h * dh..][..dh], kt, scale, row);
-                softmax::<FMA>(row);
-                let o = &mut out[t * d + h * dh..][..dh];
-                o.fill(0.0);
-                for (j, p) in row.iter().enumerate() {
-                    axpy::<FMA>(*p, &qkv[j * 3 * d + 2 * d + h * dh..][..dh], o);
-                }
+            let (q, k, v) = (&qkv[h * dh..], &qkv[d + h * dh..], &qkv[2 * d + h * dh..]);
+            transpose(k, 3 * d, kt, n, dh);
+            multiply([n, dh, np], (q, 3 * d), (kt, np), (p, np));
+            for row in p.chunks_exact_mut(np) {
+                softmax::<FMA>(row, n, scale);
             }
+            multiply([n, n, dh], (p, np), (v, 3 * d), (&mut out[h * dh..], d));
         }
     }
 }
@@ -103,41 +134,44 @@ fn backward<const FMA: bool>(
     dqkv: &mut [f32],
     scratch: &mut [f32],
 ) {
+    s.check(qkv, g, scratch);
     let (n, dh, d) = (s.tokens, s.head, s.heads * s.head);
+    let np = s.padded();
     let scale = 1.0 / (dh as f32).sqrt();
-    let (kt, rest) = scratch.split_at_mut(dh * n);
-    let (vt, rest) = rest.split_at_mut(dh * n);
-    let (p, rest) = rest.split_at_mut(n);
-    let dp = &mut rest[..n];
-    dqkv[..s.batch * n * 3 * d].fill(0.0);
+    let (kt, rest) = scratch.split_at_mut(dh * np);
+    let (vt, rest) = rest.split_at_mut(dh * np);
+    let (p, rest) = rest.split_at_mut(np * np);
+    let (ds, rest) = rest.split_at_mut(np * np);
+    let (pt, dst) = rest.split_at_mut(np * np);
+    kt.fill(0.0);
+    vt.fill(0.0);
     for b in 0..s.batch {
         let qkv = &qkv[b * n * 3 * d..][..n * 3 * d];
         let dqkv = &mut dqkv[b * n * 3 * d..][..n * 3 * d];
         let g = &g[b * n * d..][..n * d];
         for h in 0..s.heads {
             let (q_at, k_at, v_at) = (h * dh, d + h * dh, 2 * d + h * dh);
-            transpose(&qkv[k_at..], 3 * d, kt, n, dh);
-            transpose(&qkv[v_at..], 3 * d, vt, n, dh);
-            for t in 0..n {
-                let q = &qkv[t * 3 * d + q_at..][..dh];
-                let go = &g[t * d + h * dh..][..dh];
-                row_product::<FMA>(q, kt, scale, p);
-                softmax::<FMA>(p);
-                row_product::<FMA>(go, vt, 1.0, dp);
-                let inner = dot::<FMA>(p, dp);
-                for (dp, p) in dp.iter_mut().zip(p.iter()) {
-                    *dp = p * (*dp - inner) * scale;
+            let (q, k, v, g) = (&qkv[q_at..], &qkv[k_at..], &qkv[v_at..], &g[h * dh..]);
+            transpose(k, 3 * d, kt, n, dh);
+            transpose(v, 3 * d, vt, n, dh);
+            multiply([n, dh, np], (q, 3 * d), (kt, np), (p, np));
+            multiply([n, dh, np], (g, d), (vt, np), (ds, np));
+            for (t, (p, ds)) in
+                p.chunks_exact_mut(np).zip(ds.chunks_exact_mut(np)).take(n).enumerate()
+            {
+                softmax::<FMA>(p, n, scale);
+                let inner = dot::<FMA>(p, ds);
+                for (ds, p) in ds.iter_mut().zip(p.iter()) {
+                    *ds = p * (*ds - inner) * scale;
                 }
                 for j in 0..n {
-                    axpy::<FMA>(p[j], go, &mut dqkv[j * 3 * d + v_at..][..dh]);
-                    axpy::<FMA>(dp[j], q, &mut dqkv[j * 3 * d + k_at..][..dh]);
-                    axpy::<FMA>(
-                        dp[j],
-                        &qkv[j * 3 * d + k_at..][..dh],
-                        &mut dqkv[t * 3 * d + q_at..][..dh],
-                    );
+                    pt[j * np + t] = p[j];
+                    dst[j * np + t] = ds[j];
                 }
             }
+            multiply([n, n, dh], (ds, np), (k, 3 * d), (&mut dqkv[q_at..], 3 * d));
+            multiply([n, n, dh], (dst, np), (q, 3 * d), (&mut dqkv[k_at..], 3 * d));
+            multiply([n, n, dh], (pt, np), (g, d), (&mut dqkv[v_at..], 3 * d));
         }
     }
 }
@@ -149,8 +183,8 @@ mod tests {
 
     #[test]
     fn gradients_match_differences() {
-        let s = AttentionShape { batch: 2, tokens: 5, heads: 2, head: 4 };
-        let n = 2 * 5 * 3 * 8;
+        let s = AttentionShape { batch: 2, tokens: 5, heads: 2, head: 16 };
+        let n = 2 * 5 * 3 * 32;
         let (x, w) = (check::random(n, 1), check::random(n / 3, 2));
         let mut scratch = vec![0.0; s.scratch()];
         let mut dx = vec![7.0; n];

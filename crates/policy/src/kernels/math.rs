@@ -76,14 +76,6 @@ pub fn dot<const FMA: bool>(a: &[f32], b: &[f32]) -> f32 {
     lanes(acc) + ra.iter().zip(rb).map(|(x, y)| x * y).sum::<f32>()
 }
 
-/// `y += a * x`.
-#[inline(always)]
-pub fn axpy<const FMA: bool>(a: f32, x: &[f32], y: &mut [f32]) {
-    for (y, x) in y.iter_mut().zip(x) {
-        *y = fma::<FMA>(a, *x, *y);
-    }
-}
-
 #[inline(always)]
 fn lanes(acc: [f32; 16]) -> f32 {
     let mut v = [0.0f32; 8];

@@ -10,6 +10,7 @@ mod layer_norm;
 mod math;
 mod matmul;
 mod pointwise;
+mod tile;
 
 pub use adamw::{AdamW, adamw};
 pub use attention::{AttentionShape, attention, attention_backward};
@@ -19,6 +20,8 @@ pub use pointwise::{
     add, add_rows, bias_gelu, column_sums, fill_rows, gated_add, gated_add_backward, gelu,
     gelu_backward, silu, silu_backward, squared_norm,
 };
+
+pub(crate) use tile::{Strided, WIDTH, panel};
 
 /// What the vector units of this processor can do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

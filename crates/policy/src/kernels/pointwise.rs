@@ -185,7 +185,11 @@ dispatch! {
 
 #[inline(always)]
 fn squared_norm_body<const FMA: bool>(x: &[f32]) -> f64 {
-    x.chunks(4096).map(|c| f64::from(dot::<FMA>(c, c))).sum()
+    let mut total = 0.0;
+    for c in x.chunks(4096) {
+        total += f64::from(dot::<FMA>(c, c));
+    }
+    total
 }
 
 #[cfg(test)]
