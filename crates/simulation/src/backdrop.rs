@@ -238,7 +238,13 @@ fn distractor(
             placed.push((at, reach));
             let yaw = rng.random_range(0.0..std::f64::consts::TAU);
             let pose = pose_from_xyz_rpy([x, y, half[2]], [0.0, 0.0, yaw]);
-            return Some(Fixture { name, mesh, pose, half_extents: half, id: DISTRACTOR_ID + index });
+            return Some(Fixture {
+                name,
+                mesh,
+                pose,
+                half_extents: half,
+                id: DISTRACTOR_ID + index,
+            });
         }
     }
     None

@@ -4,6 +4,7 @@
 //! [`lab::Lab`] ties it together; [`ur_server::UrServer`] puts its controller on the network.
 
 pub mod arm;
+pub mod backdrop;
 pub mod contacts;
 pub mod controller;
 mod error;
@@ -12,6 +13,7 @@ pub mod lab;
 pub mod pacing;
 pub mod parts;
 pub mod scene;
+pub mod sensor;
 pub mod trial;
 mod units;
 pub mod ur_server;

@@ -64,8 +64,7 @@ impl ColorNoise {
         }
         let table = Gaussian::table();
         let draw = |frame: u64, purpose: u32| table.at(key(seed, frame, purpose));
-        let exposure =
-            1.0 + self.gain as f32 * draw(0, 11) + self.flicker as f32 * draw(frame, 14);
+        let exposure = 1.0 + self.gain as f32 * draw(0, 11) + self.flicker as f32 * draw(frame, 14);
         let balance = self.balance as f32;
         let gains = [
             exposure * (1.0 + balance * draw(0, 12)),
@@ -86,8 +85,7 @@ impl ColorNoise {
         let corner = (w as f32 * w as f32 + h as f32 * h as f32) / 4.0;
         for (y, target) in out.chunks_exact_mut(stride).enumerate() {
             let at = |y: usize| &source[y * stride..(y + 1) * stride];
-            let (above, here, below) =
-                (at(y.saturating_sub(1)), at(y), at((y + 1).min(h - 1)));
+            let (above, here, below) = (at(y.saturating_sub(1)), at(y), at((y + 1).min(h - 1)));
             for (((c, a), m), b) in scratch.column.iter_mut().zip(above).zip(here).zip(below) {
                 *c = side * (u16::from(*a) + u16::from(*b)) + middle * u16::from(*m);
             }

@@ -53,7 +53,7 @@ impl Default for DepthNoise {
             lateral: 0.8,
             grazing_begin: 0.40,
             grazing_end: 0.10,
-            patch_loss: 0.045,
+            patch_loss: 0.055,
             loss_patch: 8,
             range: [0.17, 6.0],
         }
@@ -146,12 +146,10 @@ impl DepthNoise {
                     out.data[i] = 0.0;
                     continue;
                 }
-                let source =
-                    if beside { self.displaced(z, (w, h), (x, y), bits) } else { here };
+                let source = if beside { self.displaced(z, (w, h), (x, y), bits) } else { here };
                 let sigma = noise.per_square * source * source;
                 let own = noise.table.at(bits);
-                let read = source
-                    + sigma * (noise.own * own + noise.common * scratch.shared[x]);
+                let read = source + sigma * (noise.own * own + noise.common * scratch.shared[x]);
                 let valid = read > near_far[0] && read < near_far[1];
                 out.data[i] = if valid { quantise(read) } else { 0.0 };
             }

@@ -8,7 +8,7 @@
 //! | stereo shadow | background that the second imager does not see, left of near edges, is lost |
 //! | lateral noise | within 2 px of a depth edge the reading comes from a pixel displaced by 0.8 px (sigma) |
 //! | flying pixels | 12 % of the readings beside an edge lie somewhere between its two sides |
-//! | holes | 45 % of the readings beside an edge; surfaces seen at more than 66 deg from their normal, all of them beyond 84 deg; patches of 8 px elsewhere (weak texture), 4.5 % of the area |
+//! | holes | 45 % of the readings beside an edge; surfaces seen at more than 66 deg from their normal, all of them beyond 84 deg; patches of 8 px elsewhere (weak texture), 5.5 % of the area |
 //! | quantisation | whole millimetres |
 //! | colour | lens blur, vignette, gain, white balance, exposure flicker, shot and read noise |
 //!

@@ -87,9 +87,8 @@ impl Patches {
     /// The field along row `y`.
     pub(crate) fn row(&mut self, y: usize, out: &mut [f32]) {
         let table = Gaussian::table();
-        let node = |cx: usize, cy: usize| {
-            table.at(hash(self.key ^ hash((cy as u32) << 16 ^ cx as u32)))
-        };
+        let node =
+            |cx: usize, cy: usize| table.at(hash(self.key ^ hash((cy as u32) << 16 ^ cx as u32)));
         let [a, b] = self.weights[y % self.cell];
         let cy = y / self.cell;
         for (cx, slot) in self.coarse.iter_mut().enumerate().take(self.columns) {
@@ -119,9 +118,7 @@ mod tests {
         let mean = all.iter().sum::<f32>() / n;
         let variance = all.iter().map(|v| v * v).sum::<f32>() / n;
         assert!(mean.abs() < 0.03 && (variance - 1.0).abs() < 0.05, "{mean} {variance}");
-        let lag = |d: usize| {
-            all.windows(d + 1).map(|v| v[0] * v[d]).sum::<f32>() / (n * variance)
-        };
+        let lag = |d: usize| all.windows(d + 1).map(|v| v[0] * v[d]).sum::<f32>() / (n * variance);
         assert!(lag(1) > 0.8 && lag(20).abs() < 0.05, "{} {}", lag(1), lag(20));
     }
 

@@ -2,8 +2,8 @@ use super::*;
 use crate::backdrop::{Backdrop, BackdropConfig, TABLE_ID};
 use nalgebra::Point3;
 use tdv_geometry::pose_from_xyz_rpy;
-use tdv_rendering::mesh::primitives::{MugSize, cuboid, disc, mug};
 use tdv_rendering::look_at;
+use tdv_rendering::mesh::primitives::{MugSize, cuboid, disc, mug};
 
 fn wall_at(z: f64, frames: u64) -> (Vec<f64>, Vec<Vec<f32>>) {
     let wall = cuboid([4.0, 4.0, 0.01], [180; 3]);
@@ -15,9 +15,7 @@ fn wall_at(z: f64, frames: u64) -> (Vec<f64>, Vec<Vec<f32>>) {
     for frame in 0..frames {
         let item = SceneItem { mesh: &wall, pose, id: 1 };
         sensor.capture(&Pose::identity(), &[item], &Lighting::default(), frame, &mut out);
-        errors.extend(
-            out.depth.data.iter().filter(|d| **d > 0.0).map(|d| f64::from(*d) - z),
-        );
+        errors.extend(out.depth.data.iter().filter(|d| **d > 0.0).map(|d| f64::from(*d) - z));
         images.push(out.depth.data.clone());
     }
     (errors, images)
@@ -59,8 +57,10 @@ fn readings_are_whole_millimetres_and_neighbours_share_noise() {
 /// The lab's camera over a table with a mug and a coaster.
 fn lab_scene(seed: u64, frame: u64) -> SensorFrame {
     let room = Backdrop::generate(&BackdropConfig::default(), seed);
-    let (cup, mat) =
-        (mug(&MugSize::default(), 48, [38, 84, 168], [228; 3]), disc(0.05, 0.008, 64, [158, 72, 48]));
+    let (cup, mat) = (
+        mug(&MugSize::default(), 48, [38, 84, 168], [228; 3]),
+        disc(0.05, 0.008, 64, [158, 72, 48]),
+    );
     let mut items = room.items();
     let cup_pose = pose_from_xyz_rpy([0.55, 0.12, 0.0], [0.0, 0.0, 1.0]);
     items.push(SceneItem { mesh: &cup, pose: cup_pose, id: 40 });
@@ -119,11 +119,11 @@ fn grazing_surfaces_are_lost_and_flying_pixels_stay_few() {
     let camera = look_at(&Point3::new(-1.0, 0.0, 0.06), &Point3::new(0.0, 0.0, 0.0));
     let mut sensor = RgbdSensor::new(SensorConfig::lab(), 5);
     let mut out = SensorFrame::default();
-    let item = SceneItem { mesh: &table, pose: pose_from_xyz_rpy([0.0, 0.0, -0.005], [0.0; 3]), id: 1 };
+    let item =
+        SceneItem { mesh: &table, pose: pose_from_xyz_rpy([0.0, 0.0, -0.005], [0.0; 3]), id: 1 };
     sensor.capture(&camera, &[item], &Lighting::default(), 0, &mut out);
-    let row = |y: usize| {
-        out.depth.data[y * 640..(y + 1) * 640].iter().filter(|z| **z > 0.0).count()
-    };
+    let row =
+        |y: usize| out.depth.data[y * 640..(y + 1) * 640].iter().filter(|z| **z > 0.0).count();
     assert!(row(240) < 30, "{}", row(240));
 }
 
@@ -154,8 +154,7 @@ fn colour_noise_is_a_few_levels_and_can_be_switched_off() {
         .map(|(x, y)| f64::from(out.color.get_pixel(x, y).0[1]))
         .collect();
     let mean = patch.iter().sum::<f64>() / patch.len() as f64;
-    let sigma =
-        (patch.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / patch.len() as f64).sqrt();
+    let sigma = (patch.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / patch.len() as f64).sqrt();
     println!("colour noise at grey {mean:.0}: {sigma:.2} levels");
     assert!((1.8..3.2).contains(&sigma), "{sigma}");
     let corner: f64 =
