@@ -1,1 +1,14 @@
-//! Under construction.
+//! Figures of merit and how they are shown: trial results and their summary, tracking errors,
+//! percentiles and confidence intervals, report pages with plots.
+
+mod closed_loop;
+mod page;
+mod plot;
+mod statistics;
+mod tracking;
+
+pub use closed_loop::{ClosedLoopReport, ClosedLoopSummary, LatencyFigures, Trial};
+pub use page::Page;
+pub use plot::{LinePlot, Series, TopView};
+pub use statistics::{percentile, wilson_interval};
+pub use tracking::{TrackingFrame, TrackingReport, TrackingSummary};

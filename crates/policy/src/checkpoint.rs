@@ -176,6 +176,15 @@ impl TrainedPolicy {
         Ok(policy)
     }
 
+    /// The same network with fresh weights, for controls.
+    #[must_use]
+    pub fn with_random_weights(mut self, seed: u64) -> Self {
+        self.weights = self.architecture.initial(seed);
+        self.seed = seed;
+        self.steps = 0;
+        self
+    }
+
     /// A policy with fresh weights: it knows the task's frame and nothing else. For controls.
     ///
     /// # Errors

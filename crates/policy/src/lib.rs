@@ -14,6 +14,7 @@ mod history;
 pub mod kernels;
 pub mod network;
 mod normaliser;
+mod observer;
 mod planner;
 #[cfg(any(test, feature = "candle"))]
 pub mod reference;
@@ -32,6 +33,7 @@ pub use config::{PolicyConfig, Prediction, Sampler, TrainConfig};
 pub use error::{CheckpointProblem, PolicyError};
 pub use history::{HistoryBuffer, HistoryConfig, HistoryError, Pushed};
 pub use normaliser::{Normaliser, POSE_DIM};
+pub use observer::{Observation, Observer, ObserverError};
 pub use planner::{Planner, PlannerConfig};
 pub use samples::{ProcedureData, TrainingSet};
 pub use schedule::{SamplingPlan, SamplingStep, Schedule};

@@ -34,6 +34,40 @@ pub struct TrainingSet {
     pub dataset_hash: String,
 }
 
+impl From<&tdv_demonstration::Dataset> for TrainingSet {
+    /// The set's poses; of the rest at a trajectory's end one pose is kept, since training adds rest
+    /// of its own.
+    fn from(d: &tdv_demonstration::Dataset) -> Self {
+        let poses = |t: &tdv_geometry::PoseTrajectory| {
+            let mut poses: Vec<Pose> = t.poses().copied().collect();
+            while poses.len() > 2 && at_rest(&poses[poses.len() - 2], &poses[poses.len() - 1]) {
+                poses.pop();
+            }
+            poses
+        };
+        Self {
+            task: d.task.clone(),
+            text: d.text.clone(),
+            text_embedding: None,
+            procedures: d
+                .procedures
+                .iter()
+                .map(|p| ProcedureData {
+                    name: p.name.clone(),
+                    trajectories: p.trajectories.iter().map(poses).collect(),
+                })
+                .collect(),
+            dt: d.dt,
+            dataset_hash: d.hash(),
+        }
+    }
+}
+
+fn at_rest(a: &Pose, b: &Pose) -> bool {
+    let (d, r) = tdv_geometry::pose_distance(a, b);
+    d < 1e-7 && r < 1e-6
+}
+
 impl TrainingSet {
     /// Checks the set against the policy that shall learn from it.
     ///

@@ -3,7 +3,9 @@
 //! a clean end. See README.md for how to write a node.
 
 mod action;
+mod action_client;
 mod args;
+pub mod camera_bag;
 mod clock;
 mod context;
 pub mod convert;
@@ -11,18 +13,23 @@ mod diagnostics;
 mod error;
 mod graph;
 mod inbox;
+pub mod launch;
 mod logging;
 mod matcher;
 mod names;
 mod node;
 mod parameters;
 mod qos;
+pub mod record;
 mod run;
 mod service;
 mod shutdown;
 mod topics;
+pub mod tracked;
+pub mod trial;
 
 pub use action::{Goal, GoalEnd};
+pub use action_client::{ActionClient, ActionError, GoalTicket};
 pub use args::{ArgumentError, Arguments, Assignment, Remap, Usage};
 pub use clock::Clock;
 pub use context::{DiscoveryRange, Environment};

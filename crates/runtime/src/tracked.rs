@@ -2,6 +2,7 @@
 
 use crate::convert_time;
 use tdv_geometry::{GeometryError, Pose, Stamp, pose_from_xyz_quat, pose_to_xyz_quat};
+use tdv_msgs::builtin_interfaces::msg::Duration;
 use tdv_msgs::geometry_msgs::msg::{
     Point, Pose as PoseMessage, Quaternion, Transform, TransformStamped, Vector3,
 };
@@ -22,6 +23,12 @@ pub fn header(stamp: Stamp) -> Header {
 /// A header in another frame.
 pub fn header_in(stamp: Stamp, frame_id: &str) -> Header {
     Header { stamp: convert_time(stamp), frame_id: frame_id.into() }
+}
+
+/// Seconds as a message field; negative and non-finite ones become zero.
+pub fn duration(seconds: f64) -> Duration {
+    let ns = if seconds.is_finite() { (seconds.max(0.0) * 1e9).round() as i64 } else { 0 };
+    Duration { sec: (ns / 1_000_000_000) as i32, nanosec: (ns % 1_000_000_000) as u32 }
 }
 
 /// A pose as a message field.

@@ -52,6 +52,20 @@ impl LabAssets {
         }
         Ok(Self { scene, files, meshes, robot: RobotMeshes::new() })
     }
+
+    /// What to draw at the given poses (see [`Lab::render_poses`]): objects, arm links, fingers.
+    pub fn instances(&self, poses: &[Pose]) -> Vec<LabInstance<'_>> {
+        let objects = self.meshes.iter().enumerate().map(|(i, mesh)| (mesh, i as u16 + 1));
+        let links = self.robot.links.iter().enumerate();
+        let links = links.map(|(i, mesh)| (mesh, if i == 6 { GRIPPER_ID } else { ARM_ID }));
+        let fingers = self.robot.fingers.iter().map(|mesh| (mesh, GRIPPER_ID));
+        objects
+            .chain(links)
+            .chain(fingers)
+            .zip(poses)
+            .map(|((mesh, id), pose)| LabInstance { mesh, pose: *pose, id })
+            .collect()
+    }
 }
 
 /// A mesh to draw.
@@ -127,8 +141,7 @@ impl Lab {
     /// # Errors
     /// [`SimulationError::Value`] of the scene's regions.
     pub fn from_assets(assets: Arc<LabAssets>, seed: u64) -> Result<Self, SimulationError> {
-        let starts = assets.scene.draw_starts(seed)?;
-        Self::with_starts(assets, seed, &starts)
+        Self::with_starts(assets, seed, &[])
     }
 
     /// A lab with given start poses (`T_base_link_object`, in the scene's order; missing ones are
@@ -143,19 +156,17 @@ impl Lab {
     ) -> Result<Self, SimulationError> {
         let scene = &assets.scene;
         let drawn = scene.draw_starts(seed)?;
-        let bodies: Vec<Body> = assets
-            .files
-            .iter()
-            .zip(&scene.objects)
-            .enumerate()
-            .map(|(i, (file, object))| Body {
-                name: object.name.clone(),
-                mass: file.mass,
-                friction: file.friction,
-                parts: file.collision.iter().map(Part::from).collect(),
-                pose: starts.get(i).copied().unwrap_or(drawn[i]),
-            })
-            .collect();
+        let mut bodies: Vec<Body> = Vec::with_capacity(drawn.len());
+        for (i, (file, object)) in assets.files.iter().zip(&scene.objects).enumerate() {
+            let parts: Vec<Part> = file.collision.iter().map(Part::from).collect();
+            let pose = starts.get(i).copied().unwrap_or_else(|| {
+                // An object whose origin is not in its base stands higher.
+                let base = parts.iter().map(Part::lowest).fold(f64::INFINITY, f64::min);
+                Translation3::new(0.0, 0.0, -base) * drawn[i]
+            });
+            let (mass, friction) = (file.mass, file.friction);
+            bodies.push(Body { name: object.name.clone(), mass, friction, parts, pose });
+        }
         let home = scene.robot.home;
         let world = World::new(WorldConfig::default(), &bodies, &home);
         let judge = make_judge(&assets, scene.task.goal)?;
@@ -461,28 +472,20 @@ impl Lab {
         })
     }
 
+    /// Poses in base_link of everything to draw, in the order of [`LabAssets::instances`].
+    pub fn render_poses(&self) -> Vec<Pose> {
+        let objects = (0..self.world.object_count()).map(|i| self.world.object_pose(i));
+        objects.chain(self.world.link_poses()).chain(self.world.finger_poses()).collect()
+    }
+
     /// Everything to draw except table and background: objects, arm, gripper.
     pub fn render_instances(&self) -> Vec<LabInstance<'_>> {
-        let mut out: Vec<LabInstance> = self
-            .assets
-            .meshes
-            .iter()
-            .enumerate()
-            .map(|(i, mesh)| LabInstance {
-                mesh,
-                pose: self.world.object_pose(i),
-                id: i as u16 + 1,
-            })
-            .collect();
-        let links = self.world.link_poses();
-        for (i, (mesh, pose)) in self.assets.robot.links.iter().zip(links).enumerate() {
-            let id = if i == 6 { GRIPPER_ID } else { ARM_ID };
-            out.push(LabInstance { mesh, pose, id });
-        }
-        for (mesh, pose) in self.assets.robot.fingers.iter().zip(self.world.finger_poses()) {
-            out.push(LabInstance { mesh, pose, id: GRIPPER_ID });
-        }
-        out
+        self.assets.instances(&self.render_poses())
+    }
+
+    /// Truth: pose of the tool centre point in base_link.
+    pub fn tcp_pose(&self) -> Pose {
+        self.world.link_poses()[6] * Translation3::new(0.0, 0.0, crate::gripper::TCP_OFFSET)
     }
 }
 

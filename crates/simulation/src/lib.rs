@@ -7,6 +7,7 @@ pub mod arm;
 pub mod backdrop;
 pub mod contacts;
 pub mod controller;
+pub mod disturbance;
 mod error;
 pub mod gripper;
 pub mod lab;

@@ -1,2 +1,45 @@
-//! The command line.
-fn main() {}
+//! `tdv`: teach a robot a task from one recording, run it, record, replay, measure.
+
+mod arguments;
+mod bag;
+mod demo;
+mod doctor;
+mod eval;
+mod graph;
+mod launch;
+mod observe;
+mod picture;
+mod record;
+mod record_demo;
+mod report;
+mod teach;
+
+use arguments::{Arguments, BagCommand, Command, EvalCommand};
+use clap::Parser as _;
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    tdv_policy::tune_allocator();
+    // Usage mistakes end in clap with exit code 2.
+    let arguments = Arguments::parse();
+    let outcome = match arguments.command {
+        Command::Teach(a) => teach::run(&a).map(|_| true),
+        Command::Demo(a) => demo::run(&a),
+        Command::Launch(a) => launch::run(&a),
+        Command::Record(a) => record::run(&a).map(|()| true),
+        Command::RecordDemo(a) => record_demo::run(&a).map(|()| true),
+        Command::Eval(EvalCommand::ClosedLoop(a)) => eval::closed_loop(&a),
+        Command::Eval(EvalCommand::Tracking(a)) => eval::tracking(&a),
+        Command::Bag(BagCommand::Info { bag }) => bag::info(&bag).map(|()| true),
+        Command::Doctor(a) => doctor::run(&a),
+        Command::Graph(a) => graph::run(&a).map(|()| true),
+    };
+    match outcome {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
+        Err(error) => {
+            eprintln!("tdv: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -1,2 +1,9 @@
-//! The arm_controller node.
-fn main() {}
+//! Plans of the policy in, short joint trajectories that end at rest out, and the gripper's sequence.
+
+mod inputs;
+mod node;
+mod params;
+
+fn main() -> std::process::ExitCode {
+    tdv_runtime::run("arm_controller", node::control)
+}

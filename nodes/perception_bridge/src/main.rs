@@ -1,2 +1,9 @@
-//! The perception_bridge node.
-fn main() {}
+//! All pixel work: colour and depth images in, object poses in the camera frame out.
+
+mod frames;
+mod node;
+mod params;
+
+fn main() -> std::process::ExitCode {
+    tdv_runtime::run("perception_bridge", node::perceive)
+}

@@ -1,2 +1,8 @@
-//! The switch_policy node.
-fn main() {}
+//! Decides which procedure of the task is on.
+
+mod node;
+mod params;
+
+fn main() -> std::process::ExitCode {
+    tdv_runtime::run("switch_policy", node::decide)
+}

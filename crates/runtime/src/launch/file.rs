@@ -164,10 +164,8 @@ impl LaunchFile {
     }
 
     fn parse(path: &Path, text: &str) -> Result<Self, LaunchError> {
-        let document: Document = serde_saphyr::from_str(text).map_err(|e| LaunchError::Content {
-            path: path.to_owned(),
-            reason: e.to_string(),
-        })?;
+        let document: Document = serde_saphyr::from_str(text)
+            .map_err(|e| LaunchError::Content { path: path.to_owned(), reason: e.to_string() })?;
         Ok(Self { path: path.to_owned(), entries: document.launch })
     }
 
@@ -341,8 +339,7 @@ launch:
 ";
 
     fn commands(settings: &[(&str, &str)]) -> Result<Vec<NodeCommand>, LaunchError> {
-        let settings =
-            settings.iter().map(|(a, b)| ((*a).to_owned(), (*b).to_owned())).collect();
+        let settings = settings.iter().map(|(a, b)| ((*a).to_owned(), (*b).to_owned())).collect();
         LaunchFile::parse(Path::new("/l/x.launch.yaml"), TEXT)?.commands(&settings, Path::new("/s"))
     }
 

@@ -122,8 +122,7 @@ impl Launched {
     /// # Errors
     /// [`LaunchError::Start`].
     pub fn restart(&mut self, name: &str) -> Result<bool, LaunchError> {
-        let Some(i) =
-            self.nodes.iter().position(|n| n.command.name == name && n.status.is_some())
+        let Some(i) = self.nodes.iter().position(|n| n.command.name == name && n.status.is_some())
         else {
             return Ok(false);
         };

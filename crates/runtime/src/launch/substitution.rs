@@ -39,7 +39,8 @@ impl Scope<'_> {
                 std::env::var(name).map_err(|_| format!("environment variable {name} is not set"))
             }
             ["env", name, default @ ..] => {
-                Ok(std::env::var(name).unwrap_or_else(|_| default.join(" ").trim_matches('\'').into()))
+                Ok(std::env::var(name)
+                    .unwrap_or_else(|_| default.join(" ").trim_matches('\'').into()))
             }
             ["dirname"] => Ok(self.folder.display().to_string()),
             ["find-pkg-share", "tdv"] => Ok(self.share.display().to_string()),

@@ -1,10 +1,12 @@
 //! RTDE version 2: framing, packages, typed fields, recipes. All numbers are big-endian.
 
+mod client;
 mod fields;
 mod frame;
 mod package;
 mod value;
 
+pub use client::{Client, ClientConfig, ClientEvent};
 pub use fields::{FieldKind, input_field, output_field};
 pub use frame::{Frame, FrameReader, MAX_PACKAGE};
 pub use package::{ClientPackage, ServerPackage, TextLevel};

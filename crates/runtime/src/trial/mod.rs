@@ -1,0 +1,227 @@
+//! Live trials: the whole graph as processes, watched from one more node, judged by the lab.
+
+mod latency;
+mod pictures;
+
+use crate::launch::{LaunchError, LaunchFile, Launched, NodeExit, StartOptions};
+use crate::names::Resolver;
+use crate::node::Node;
+use crate::{Arguments, DiscoveryRange, Environment, Inbox, Qos, RuntimeError, tracked};
+use latency::StageClock;
+use pictures::PictureTaker;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+use tdv_geometry::Pose;
+use tdv_msgs::diagnostic_msgs::msg::DiagnosticArray;
+use tdv_msgs::sensor_msgs::msg::Image;
+use tdv_msgs::tdv_msgs::msg::{ControllerStatus, PoseTrajectory, TrackedObjects, TrialVerdict};
+use tdv_msgs::trajectory_msgs::msg::JointTrajectory;
+use tdv_rendering::RgbImage;
+
+/// How a trial is run.
+#[derive(Debug, Clone)]
+pub struct TrialSetup {
+    /// Launch file of the graph.
+    pub launch_file: PathBuf,
+    /// What `$(find-pkg-share tdv)` stands for.
+    pub share: PathBuf,
+    /// Launch arguments.
+    pub arguments: BTreeMap<String, String>,
+    /// Where the nodes write their output.
+    pub log_folder: PathBuf,
+    /// ROS domain, its own for each of the trials that run close to each other.
+    pub domain: u16,
+    /// Seconds of the clock after which the trial is given up, start-up included.
+    pub patience: f64,
+    /// Keep small camera pictures of the run.
+    pub pictures: bool,
+    /// Kill this node (SIGKILL) once the arm has moved for a while.
+    pub kill: Option<String>,
+}
+
+/// What a trial gave.
+#[derive(Debug, Clone, Default)]
+pub struct TrialOutcome {
+    /// The lab's last verdict; none when it never spoke.
+    pub verdict: Option<TrialVerdict>,
+    /// First true poses in base_link, by object.
+    pub start: BTreeMap<String, Pose>,
+    /// Milliseconds by stage: `image_to_pose`, `pose_to_plan`, `plan_to_command`.
+    pub latency_ms: BTreeMap<String, Vec<f64>>,
+    /// CPU seconds per second of the clock, by node.
+    pub cpu: BTreeMap<String, f64>,
+    /// The controller's sentences, each once in a row.
+    pub story: Vec<String>,
+    /// Nodes that ended by themselves.
+    pub exits: Vec<NodeExit>,
+    /// Small camera pictures in order.
+    pub pictures: Vec<RgbImage>,
+    /// Seconds of the clock.
+    pub wall: f64,
+}
+
+/// Why a trial could not be run at all.
+#[derive(Debug, thiserror::Error)]
+pub enum TrialError {
+    /// The graph cannot be started.
+    #[error(transparent)]
+    Launch(#[from] LaunchError),
+    /// The watching node cannot be created.
+    #[error(transparent)]
+    Runtime(#[from] RuntimeError),
+}
+
+struct Watch {
+    verdict: Inbox<TrialVerdict>,
+    truth: Inbox<TrackedObjects>,
+    objects: Inbox<TrackedObjects>,
+    plans: Inbox<PoseTrajectory>,
+    commands: Inbox<JointTrajectory>,
+    status: Inbox<ControllerStatus>,
+    diagnostics: Inbox<DiagnosticArray>,
+    images: Option<Inbox<Image>>,
+}
+
+impl Watch {
+    fn new(node: &Node, pictures: bool) -> Result<Self, RuntimeError> {
+        Ok(Self {
+            verdict: node.newest("/virtual_lab/ground_truth/verdict", Qos::latched())?,
+            truth: node.newest("/virtual_lab/ground_truth/objects", Qos::reliable(5))?,
+            objects: node.queue("/pose_tracker/objects", Qos::reliable(5), 64)?,
+            plans: node.queue("/diffusion_policy/prediction", Qos::reliable(5), 64)?,
+            commands: node.queue(
+                "/scaled_joint_trajectory_controller/joint_trajectory",
+                Qos::reliable(5),
+                64,
+            )?,
+            status: node.queue("/arm_controller/status", Qos::latched(), 64)?,
+            diagnostics: node.queue("/diagnostics", Qos::reliable(10), 64)?,
+            images: pictures
+                .then(|| node.newest("/camera/camera/color/image_raw", Qos::sensor_data()))
+                .transpose()?,
+        })
+    }
+}
+
+/// Runs one trial from the start of the processes to their end. Blocks; uses a tokio runtime of its own.
+///
+/// # Errors
+/// [`TrialError`]. A trial that goes wrong is not an error: its outcome says how.
+pub fn run_trial(setup: &TrialSetup) -> Result<TrialOutcome, TrialError> {
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_all()
+        .build()
+        .map_err(|e| RuntimeError::Create {
+            what: "tokio runtime",
+            name: "trial".into(),
+            reason: e.to_string(),
+        })?;
+    runtime.block_on(watch_trial(setup))
+}
+
+async fn watch_trial(setup: &TrialSetup) -> Result<TrialOutcome, TrialError> {
+    let commands =
+        LaunchFile::load(&setup.launch_file)?.commands(&setup.arguments, &setup.share)?;
+    let environment = Environment { domain: setup.domain, range: DiscoveryRange::Localhost };
+    let resolver =
+        Resolver::new("trial_runner", &Arguments::default()).map_err(RuntimeError::Name)?;
+    let node = Node::new(resolver, environment, false)?;
+    let mut watch = Watch::new(&node, setup.pictures)?;
+    let options = StartOptions {
+        log_folder: Some(setup.log_folder.clone()),
+        environment: vec![
+            ("ROS_DOMAIN_ID".into(), setup.domain.to_string()),
+            ("ROS_AUTOMATIC_DISCOVERY_RANGE".into(), "LOCALHOST".into()),
+        ],
+        ..StartOptions::beside_this_program()
+    };
+    let began = Instant::now();
+    let mut launched = Launched::start(&commands, options)?;
+    let mut outcome = TrialOutcome::default();
+    let mut stages = StageClock::default();
+    let mut taker = PictureTaker::default();
+    let mut kill = setup.kill.clone();
+    let mut moving_since: Option<Instant> = None;
+    loop {
+        tokio::time::sleep(Duration::from_millis(2)).await;
+        collect(&mut watch, &mut outcome, &mut stages, &mut taker);
+        let exits = launched.exited();
+        let died = !exits.is_empty();
+        outcome.exits.extend(exits);
+        if !outcome.story.is_empty() && moving_since.is_none() && stages.commands() > 30 {
+            moving_since = Some(Instant::now());
+        }
+        if moving_since.is_some_and(|t| t.elapsed() > Duration::from_secs(1))
+            && let Some(name) = kill.take()
+        {
+            launched.kill(&name);
+            outcome.story.push(format!("{name} was killed"));
+            tokio::time::sleep(Duration::from_secs(1)).await;
+            let _ = launched.restart(&name)?;
+        }
+        let finished = outcome.verdict.as_ref().is_some_and(|v| v.finished);
+        if finished || died || began.elapsed().as_secs_f64() > setup.patience {
+            break;
+        }
+    }
+    // Once more: the verdict that ended it may have come with a picture worth keeping.
+    collect(&mut watch, &mut outcome, &mut stages, &mut taker);
+    outcome.wall = began.elapsed().as_secs_f64();
+    launched.stop(Duration::from_secs(3));
+    outcome.latency_ms = stages.into_samples();
+    outcome.pictures = taker.into_pictures();
+    node.leave();
+    Ok(outcome)
+}
+
+fn collect(
+    watch: &mut Watch,
+    outcome: &mut TrialOutcome,
+    stages: &mut StageClock,
+    taker: &mut PictureTaker,
+) {
+    let now = Instant::now();
+    if let Some(v) = watch.verdict.try_newest() {
+        outcome.verdict = Some(v);
+    }
+    if let Some(truth) = watch.truth.try_newest()
+        && outcome.start.is_empty()
+    {
+        for o in &truth.objects {
+            if let Some(pose) = tracked::usable_pose(&truth, &o.name) {
+                outcome.start.insert(o.name.clone(), pose);
+            }
+        }
+    }
+    while let Some(m) = watch.objects.try_recv() {
+        stages.pose(tracked::stamp(&m.header), now);
+    }
+    while let Some(m) = watch.plans.try_recv() {
+        if !m.poses.is_empty() {
+            stages.plan(tracked::stamp(&m.header), now);
+        }
+    }
+    while watch.commands.try_recv().is_some() {
+        stages.command(now);
+    }
+    while let Some(m) = watch.status.try_recv() {
+        if outcome.story.last() != Some(&m.sentence) {
+            outcome.story.push(m.sentence);
+        }
+    }
+    while let Some(m) = watch.diagnostics.try_recv() {
+        for s in m.status {
+            let value = s.values.iter().find(|v| v.key == "cpu_percent");
+            if let Some(percent) = value.and_then(|v| v.value.parse::<f64>().ok()) {
+                outcome.cpu.insert(s.name.clone(), percent / 100.0);
+            }
+        }
+    }
+    if let Some(images) = &mut watch.images
+        && let Some(image) = images.try_newest()
+    {
+        taker.take(&image, now);
+    }
+}

@@ -1,0 +1,218 @@
+use clap::{Args, Parser, Subcommand};
+use std::path::PathBuf;
+
+/// Learn a manipulation task from one human RGB-D recording and carry it out in closed loop on a UR5.
+#[derive(Parser)]
+#[command(version, about, max_term_width = 100)]
+pub struct Arguments {
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+#[derive(Subcommand)]
+pub enum Command {
+    /// Parse a recording, multiply it, train the policies, write a report page
+    Teach(TeachArgs),
+    /// Teach from a recording and carry the task out once in the virtual lab
+    Demo(DemoArgs),
+    /// Start the nodes of a launch file and keep watch over them
+    Launch(LaunchArgs),
+    /// Record topics of the running graph into a bag
+    Record(RecordArgs),
+    /// Render a human demonstration in the virtual lab into a bag
+    RecordDemo(RecordDemoArgs),
+    /// Measure
+    #[command(subcommand)]
+    Eval(EvalCommand),
+    /// Look into bags
+    #[command(subcommand)]
+    Bag(BagCommand),
+    /// Check what this machine has and what is missing
+    Doctor(DoctorArgs),
+    /// Print the running graph as a Mermaid diagram
+    Graph(GraphArgs),
+}
+
+#[derive(Args, Clone)]
+pub struct TeachArgs {
+    /// Task file
+    #[arg(long)]
+    pub task: PathBuf,
+    /// Recording: a rosbag2 folder or .mcap file with colour, aligned depth, camera_info and /tf_static
+    #[arg(long, required_unless_present = "import_dexmv", conflicts_with = "import_dexmv")]
+    pub bag: Option<PathBuf>,
+    /// Instead of a bag: the folder with the parsed DexMV mustard recording
+    #[arg(long)]
+    pub import_dexmv: Option<PathBuf>,
+    /// Folder for the results [default: models/TASK]
+    #[arg(long)]
+    pub out: Option<PathBuf>,
+    /// Object catalogue
+    #[arg(long, default_value = "config/objects")]
+    pub objects: PathBuf,
+    /// Folder with palm_detection_full.tflite and hand_landmark_full.tflite
+    #[arg(long, default_value = "models/hands")]
+    pub hand_models: PathBuf,
+    /// Trajectories to make of the one [default: as the task file says]
+    #[arg(long)]
+    pub count: Option<usize>,
+    /// Training steps
+    #[arg(long, default_value_t = 600)]
+    pub steps: usize,
+    /// Seed of every random choice
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+}
+
+#[derive(Args)]
+pub struct DemoArgs {
+    #[command(flatten)]
+    pub teach: TeachArgs,
+    /// Seed of the lab: which start pose, noise, light
+    #[arg(long, default_value_t = 1)]
+    pub lab_seed: u64,
+    /// Folder for the run: bag, picture, logs
+    #[arg(long, default_value = "runs/demo")]
+    pub run: PathBuf,
+    /// Use the model that is there instead of teaching again
+    #[arg(long)]
+    pub reuse: bool,
+}
+
+#[derive(Args)]
+pub struct LaunchArgs {
+    /// Launch file in ROS 2's YAML form
+    pub file: PathBuf,
+    /// Arguments of the launch file, NAME:=VALUE
+    pub arguments: Vec<String>,
+    /// Print the arguments of the file and end
+    #[arg(short, long)]
+    pub show_args: bool,
+    /// Write each node's output to a file in this folder
+    #[arg(long)]
+    pub logs: Option<PathBuf>,
+}
+
+#[derive(Args)]
+pub struct RecordArgs {
+    /// Bag folder to write
+    #[arg(short, long)]
+    pub output: PathBuf,
+    /// Topics; none: all that are published
+    pub topics: Vec<String>,
+    /// End after this many seconds instead of at Ctrl-C
+    #[arg(long)]
+    pub duration: Option<f64>,
+}
+
+#[derive(Args)]
+pub struct RecordDemoArgs {
+    /// Bag folder to write; the ground truth goes to NAME_truth beside it
+    #[arg(short, long)]
+    pub output: PathBuf,
+    /// Seed of noise, light and background
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Object catalogue
+    #[arg(long, default_value = "config/objects")]
+    pub objects: PathBuf,
+    /// Quality of the JPEG images, 1 to 100
+    #[arg(long, default_value_t = 85, value_parser = clap::value_parser!(u8).range(1..=100))]
+    pub quality: u8,
+}
+
+#[derive(Subcommand)]
+pub enum EvalCommand {
+    /// Trials of the whole live graph in the virtual lab, judged on its truth
+    ClosedLoop(ClosedLoopArgs),
+    /// Track an object of a recorded data set and compare with its reference poses
+    Tracking(TrackingArgs),
+}
+
+#[derive(Args, Clone)]
+pub struct ClosedLoopArgs {
+    /// Task file
+    #[arg(long)]
+    pub task: PathBuf,
+    /// Trials; each has its own seed, start pose, noise and light
+    #[arg(long, default_value_t = 20)]
+    pub trials: u64,
+    /// First seed
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Run the real graph over DDS (the only way so far)
+    #[arg(long)]
+    pub live: bool,
+    /// Result file
+    #[arg(long)]
+    pub json: Option<PathBuf>,
+    /// Model folder [default: models/TASK]
+    #[arg(long)]
+    pub model: Option<PathBuf>,
+    /// Displace the object or its target by 5 to 10 cm in mid-run
+    #[arg(long)]
+    pub disturb: bool,
+    /// Control: perception repeats its first result for ever
+    #[arg(long)]
+    pub freeze_perception: bool,
+    /// Control: a network with random weights
+    #[arg(long)]
+    pub untrained: bool,
+    /// Control: every grasp is commanded this far off (m, along x)
+    #[arg(long, default_value_t = 0.0)]
+    pub grasp_offset: f64,
+    /// Kill this node while the arm moves, and start it again
+    #[arg(long)]
+    pub kill: Option<String>,
+    /// Launch file
+    #[arg(long, default_value = "launch_scripts/closed_loop.launch.yaml")]
+    pub launch_file: PathBuf,
+    /// Folder for logs and pictures
+    #[arg(long, default_value = "runs/eval")]
+    pub run: PathBuf,
+    /// Keep an animated picture of each trial
+    #[arg(long)]
+    pub pictures: bool,
+}
+
+#[derive(Args)]
+pub struct TrackingArgs {
+    /// Folder of the data set
+    #[arg(long)]
+    pub dataset: PathBuf,
+    /// Object
+    #[arg(long, default_value = "cube")]
+    pub object: String,
+    /// Through the live graph: bag, camera_replay, perception_bridge, pose_tracker
+    #[arg(long)]
+    pub live: bool,
+    /// Result file
+    #[arg(long)]
+    pub json: Option<PathBuf>,
+}
+
+#[derive(Subcommand)]
+pub enum BagCommand {
+    /// Topics, types, counts and duration
+    Info {
+        /// Bag folder or .mcap file
+        bag: PathBuf,
+    },
+}
+
+#[derive(Args)]
+pub struct DoctorArgs {
+    /// Folder of the hand networks
+    #[arg(long, default_value = "models/hands")]
+    pub hand_models: PathBuf,
+    /// Object catalogue
+    #[arg(long, default_value = "config/objects")]
+    pub objects: PathBuf,
+}
+
+#[derive(Args)]
+pub struct GraphArgs {
+    /// Seconds to look
+    #[arg(long, default_value_t = 3.0)]
+    pub wait: f64,
+}

@@ -1,0 +1,187 @@
+use crate::arguments::{ClosedLoopArgs, TrackingArgs};
+use crate::{launch, picture};
+use anyhow::{Context as _, bail};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use tdv_demonstration::{Demonstration, Task};
+use tdv_evaluation::{ClosedLoopReport, TrackingFrame, TrackingReport, Trial};
+use tdv_geometry::yaw_of;
+use tdv_perception::visp;
+use tdv_runtime::trial::{TrialOutcome, TrialSetup, run_trial};
+use tdv_simulation::Scene;
+
+/// Seconds of the clock that a trial may take: the task's limit and the start of eight processes.
+const PATIENCE: f64 = 85.0;
+
+/// Trials of the live graph. True when all succeeded.
+pub fn closed_loop(args: &ClosedLoopArgs) -> anyhow::Result<bool> {
+    if !args.live {
+        bail!("give --live: trials in process come with a later version");
+    }
+    let task = Task::load(&args.task)?;
+    let model = args.model.clone().unwrap_or_else(|| Path::new("models").join(&task.name));
+    let demonstration = Demonstration::load(&model.join("demonstration.json"))
+        .context("teach first: `tdv teach` makes the model folder")?;
+    let scene = Scene::load(Path::new(&task.scene))?;
+    std::fs::create_dir_all(&args.run).with_context(|| args.run.display().to_string())?;
+    let (mut trials, mut latency, mut cpu) = (Vec::new(), BTreeMap::new(), BTreeMap::new());
+    for seed in args.seed..args.seed + args.trials {
+        let setup = setup(args, &task, &scene, &demonstration, &model, seed);
+        let outcome = run_trial(&setup)?;
+        let trial = trial(&task, seed, &outcome);
+        println!(
+            "trial {seed}: {} ({:.1} s) {}",
+            if trial.success { "success" } else { "FAILURE" },
+            trial.duration_s,
+            trial.reason
+        );
+        for line in &outcome.story {
+            println!("    {line}");
+        }
+        if args.pictures && !outcome.pictures.is_empty() {
+            let path = args.run.join(format!("trial_{seed}.gif"));
+            picture::save_gif(&path, &outcome.pictures, 100)?;
+            println!("    picture: {}", path.display());
+        }
+        for (stage, samples) in outcome.latency_ms {
+            latency.entry(stage).or_insert_with(Vec::new).extend(samples);
+        }
+        for (node, share) in outcome.cpu {
+            let sum: &mut f64 = cpu.entry(node).or_insert(0.0);
+            *sum += share / args.trials as f64;
+        }
+        trials.push(trial);
+    }
+    let report = ClosedLoopReport::new(&task.name, &condition(args), trials, &latency, cpu);
+    print!("{}", report.table());
+    if let Some(path) = &args.json {
+        write_json(path, &report)?;
+    }
+    Ok(report.summary.successes == report.summary.trials)
+}
+
+fn condition(args: &ClosedLoopArgs) -> String {
+    let mut parts = Vec::new();
+    for (on, name) in [
+        (args.disturb, "displaced in mid-run"),
+        (args.freeze_perception, "perception frozen"),
+        (args.untrained, "untrained network"),
+        (args.grasp_offset != 0.0, "grasp offset"),
+    ] {
+        if on {
+            parts.push(name);
+        }
+    }
+    if parts.is_empty() { "plain".into() } else { parts.join(", ") }
+}
+
+fn setup(
+    args: &ClosedLoopArgs,
+    task: &Task,
+    scene: &Scene,
+    demonstration: &Demonstration,
+    model: &Path,
+    seed: u64,
+) -> TrialSetup {
+    let mut arguments = BTreeMap::new();
+    let mut set = |name: &str, value: String| {
+        arguments.insert(name.to_owned(), value);
+    };
+    set("task", args.task.display().to_string());
+    set("scene", task.scene.clone());
+    set("model", model.display().to_string());
+    set("prompt", task.text.clone());
+    set("objects", format!("[{}, {}]", task.reference_object, task.moving_object));
+    set("seed", seed.to_string());
+    if let Some(place) = demonstration.procedures.last() {
+        let goal = place.goal();
+        set("goal_yaw", format!("{:.6}", yaw_of(&goal.rotation)));
+    }
+    // The robot's side gets meshes that are as wrong as the scene says.
+    let scales: Vec<String> = scene
+        .objects
+        .iter()
+        .zip(scene.draw_knowledge(seed).mesh_scale)
+        .map(|(o, scale)| format!("\"{}:{scale:.6}\"", o.name))
+        .collect();
+    set("mesh_scales", format!("[{}]", scales.join(", ")));
+    set("disturb", args.disturb.to_string());
+    set("freeze_perception", args.freeze_perception.to_string());
+    set("untrained", args.untrained.to_string());
+    set("grasp_offset", format!("[{:?}, 0.0, 0.0]", args.grasp_offset));
+    TrialSetup {
+        launch_file: args.launch_file.clone(),
+        share: launch::share(&args.launch_file),
+        arguments,
+        log_folder: args.run.join(format!("logs_{seed}")),
+        domain: 60 + (seed % 40) as u16,
+        patience: PATIENCE,
+        pictures: args.pictures,
+        kill: args.kill.clone(),
+    }
+}
+
+fn trial(task: &Task, seed: u64, outcome: &TrialOutcome) -> Trial {
+    let start = outcome.start.get(&task.moving_object).map_or([f64::NAN; 4], |p| {
+        [p.translation.x, p.translation.y, p.translation.z, yaw_of(&p.rotation)]
+    });
+    let ended: Vec<String> = outcome
+        .exits
+        .iter()
+        .map(|e| format!("{} ended ({:?})", e.name, e.code))
+        .collect();
+    let Some(v) = &outcome.verdict else {
+        let reason = if ended.is_empty() { "the lab gave no verdict".into() } else { ended.join(", ") };
+        return Trial {
+            seed,
+            success: false,
+            start,
+            error_mm: None,
+            error_deg: None,
+            duration_s: outcome.wall,
+            real_time_factor: f64::NAN,
+            reason,
+        };
+    };
+    let mut reason = if v.finished { v.reason.clone() } else { format!("given up: {}", v.reason) };
+    if !ended.is_empty() {
+        reason = format!("{}; {reason}", ended.join(", "));
+    }
+    Trial {
+        seed,
+        success: v.finished && v.success,
+        start,
+        error_mm: Some(1e3 * v.error_m).filter(|e| e.is_finite()),
+        error_deg: Some(v.error_rad.to_degrees()).filter(|e| e.is_finite()),
+        duration_s: v.elapsed,
+        real_time_factor: v.real_time_factor,
+        reason,
+    }
+}
+
+fn write_json(path: &PathBuf, report: &impl serde::Serialize) -> anyhow::Result<()> {
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder)?;
+    }
+    let partial = path.with_extension("json.partial");
+    std::fs::write(&partial, serde_json::to_string_pretty(report)?)
+        .with_context(|| partial.display().to_string())?;
+    std::fs::rename(&partial, path).with_context(|| path.display().to_string())
+}
+
+/// Tracks the object of a data set and compares with its reference.
+pub fn tracking(args: &TrackingArgs) -> anyhow::Result<bool> {
+    if args.object != "cube" {
+        bail!("the data set has reference poses of the cube only, not of {:?}", args.object);
+    }
+    if args.live {
+        bail!("the live form is not there yet; leave --live out");
+    }
+    let summary = visp::evaluate_visp(&args.dataset)?;
+    let _ = (TrackingReport::new(Vec::<TrackingFrame>::new(), 0), &summary);
+    println!("{summary:#?}");
+    if let Some(path) = &args.json {
+        write_json(path, &serde_json::json!({ "summary": summary }))?;
+    }
+    Ok(true)
+}

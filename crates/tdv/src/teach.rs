@@ -1,0 +1,164 @@
+use crate::arguments::TeachArgs;
+use crate::observe::{Observed, bar, observe};
+use crate::report;
+use anyhow::{Context as _, bail};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+use tdv_demonstration::{
+    Demonstration, FrameObservation, GenerateOptions, ParseConfig, ParseReport, Task,
+    generate_with, mustard, parse,
+};
+use tdv_policy::rollout::{RolloutConfig, RolloutTrial, evaluate};
+use tdv_policy::{
+    Planner, PlannerConfig, PolicyConfig, SwitchTrainConfig, TrainConfig, TrainProgress,
+    TrainingSet, train, train_switch,
+};
+use tdv_robot::Kinematics;
+
+/// What the report page shows.
+pub struct Lesson {
+    pub task: Task,
+    pub demonstration: Demonstration,
+    pub parse: ParseReport,
+    pub observations: Vec<FrameObservation>,
+    pub pictures: Vec<(f64, tdv_rendering::RgbImage)>,
+    pub dataset: tdv_demonstration::Dataset,
+    pub generation: tdv_demonstration::GenerationReport,
+    pub progress: Vec<TrainProgress>,
+    pub switch: tdv_policy::SwitchReport,
+    pub rollout: tdv_policy::rollout::RolloutReport,
+    /// Stage and seconds.
+    pub seconds: Vec<(&'static str, f64)>,
+}
+
+/// The whole way from recording to policy. Returns the model folder.
+pub fn run(args: &TeachArgs) -> anyhow::Result<PathBuf> {
+    let task = Task::load(&args.task)?;
+    let out = args.out.clone().unwrap_or_else(|| Path::new("models").join(&task.name));
+    let mut seconds = Vec::new();
+    let began = Instant::now();
+    let (observed, demonstration, parsed) = demonstration(args, &task)?;
+    seconds.push(("parse", began.elapsed().as_secs_f64()));
+    for repair in &parsed.repairs {
+        println!("  repaired: {}", repair.text);
+    }
+
+    let began = Instant::now();
+    let count = args.count.unwrap_or(task.generation.count);
+    let kinematics = Kinematics::ur5();
+    let reachable = |pose: &tdv_geometry::Pose| {
+        if kinematics.ik_tcp(pose).is_empty() { Err("unreachable".to_owned()) } else { Ok(()) }
+    };
+    let options = GenerateOptions { reachable: Some(&reachable), ..Default::default() };
+    let (dataset, generation) = generate_with(&demonstration, &task, count, args.seed, &options)?;
+    seconds.push(("generate", began.elapsed().as_secs_f64()));
+    for p in &generation.procedures {
+        println!("  {}", report::describe(p));
+    }
+
+    let began = Instant::now();
+    let set = TrainingSet::from(&dataset);
+    let policy_config = PolicyConfig::small();
+    let train_config = TrainConfig {
+        steps: args.steps,
+        seed: args.seed,
+        noise_position: dataset.noise.position.max(0.001),
+        noise_rotation: dataset.noise.angle.max(0.005),
+        threads: 2,
+        ..Default::default()
+    };
+    let progress_bar = bar(args.steps as u64, "training");
+    let mut progress = Vec::new();
+    let policy = train(&set, &policy_config, &train_config, &mut |p| {
+        progress_bar.set_position(p.step as u64);
+        progress.push(p.clone());
+    })?;
+    progress_bar.finish_and_clear();
+    let switch_config = SwitchTrainConfig { seed: args.seed, ..Default::default() };
+    let (switch_policy, switch) =
+        train_switch(&set, &policy_config, &train_config, &switch_config)?;
+    seconds.push(("train", began.elapsed().as_secs_f64()));
+
+    let rollout = rollouts(&policy, &demonstration, &task, args)?;
+    if rollout.success_rate() < 0.5 {
+        tracing::warn!("only {:.0} % of the kinematic rollouts reach the goal", 100.0 * rollout.success_rate());
+    }
+    std::fs::create_dir_all(&out).with_context(|| out.display().to_string())?;
+    demonstration.save(&out.join("demonstration.json"))?;
+    policy.save(&out.join("policy.safetensors"))?;
+    switch_policy.save(&out.join("switch.safetensors"))?;
+    for (stage, s) in &seconds {
+        println!("  {stage}: {s:.1} s");
+    }
+    let lesson = Lesson {
+        task,
+        demonstration,
+        parse: parsed,
+        observations: observed.frames,
+        pictures: observed.pictures,
+        dataset,
+        generation,
+        progress,
+        switch,
+        rollout,
+        seconds,
+    };
+    let page = out.join("report.html");
+    report::write(&page, &lesson)?;
+    println!(
+        "taught \"{}\": {} of {} kinematic rollouts reach the goal; report: {}",
+        lesson.task.text,
+        lesson.rollout.successes,
+        lesson.rollout.trials,
+        page.display()
+    );
+    Ok(out)
+}
+
+fn demonstration(
+    args: &TeachArgs,
+    task: &Task,
+) -> anyhow::Result<(Observed, Demonstration, ParseReport)> {
+    if let Some(folder) = &args.import_dexmv {
+        let imported = mustard::import(folder, task, &mustard::ImportOptions::default())?;
+        let observed =
+            Observed { hands: 0, unpaired: 0, frames: imported.frames, pictures: Vec::new() };
+        return Ok((observed, imported.demonstration, imported.report));
+    }
+    let Some(bag) = &args.bag else { bail!("give --bag or --import-dexmv") };
+    let observed = observe(bag, task, args)?;
+    println!(
+        "  {} frames, a hand in {}, {} images without a partner",
+        observed.frames.len(),
+        observed.hands,
+        observed.unpaired
+    );
+    let (demonstration, report) = parse(&observed.frames, task, &ParseConfig::default())
+        .with_context(|| format!("the demonstration in {}", bag.display()))?;
+    Ok((observed, demonstration, report))
+}
+
+/// Kinematic rollouts from starts that the training set does not have.
+fn rollouts(
+    policy: &tdv_policy::TrainedPolicy,
+    demonstration: &Demonstration,
+    task: &Task,
+    args: &TeachArgs,
+) -> anyhow::Result<tdv_policy::rollout::RolloutReport> {
+    let (unseen, _) = generate_with(
+        demonstration,
+        task,
+        20,
+        args.seed.wrapping_add(0x5EED),
+        &GenerateOptions::default(),
+    )?;
+    let unseen = TrainingSet::from(&unseen);
+    let trials: Vec<RolloutTrial> = unseen
+        .procedures
+        .iter()
+        .enumerate()
+        .flat_map(|(i, p)| p.trajectories.iter().map(move |t| RolloutTrial::of(i, t)))
+        .collect();
+    let mut planner = Planner::new(policy, PlannerConfig::default())?;
+    Ok(evaluate(&mut planner, &trials, &RolloutConfig::default(), args.seed)?)
+}

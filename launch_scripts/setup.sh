@@ -1,0 +1,41 @@
+#!/usr/bin/env bash
+# What demo.sh and test.sh need before they can build: a Rust toolchain, a C compiler, Python, the hand
+# networks. Installs from Debian's packages and PyPI only what is missing; a second run skips it all.
+# Sourced by the other scripts; sets CARGO.
+set -euo pipefail
+
+root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+cd "$root"
+
+have() { command -v "$1" >/dev/null 2>&1; }
+
+apt_install() {
+    local sudo=""
+    if [ "$(id -u)" -ne 0 ]; then
+        have sudo || { echo "setup: need root or sudo to install: $*" >&2; exit 1; }
+        sudo="sudo"
+    fi
+    have apt-get || { echo "setup: this is not Debian; please install: $*" >&2; exit 1; }
+    echo "setup: installing $*"
+    $sudo apt-get update -qq
+    DEBIAN_FRONTEND=noninteractive $sudo apt-get install -y -qq --no-install-recommends "$@" >/dev/null
+}
+
+# The workspace says which Rust it needs.
+wanted=$(sed -n 's/^rust-version = "\(.*\)"/\1/p' Cargo.toml | head -1)
+rust_suits() {
+    have cargo && have rustc &&
+        [ "$(printf '%s\n' "$wanted" "$(rustc --version | cut -d' ' -f2)" | sort -V | head -1)" = "$wanted" ]
+}
+
+missing=()
+have cc || missing+=(gcc libc6-dev)
+have c++ || missing+=(g++)
+have python3 || missing+=(python3)
+python3 -c 'import venv, ensurepip' 2>/dev/null || missing+=(python3-venv)
+have git || missing+=(git)
+[ ${#missing[@]} -eq 0 ] || apt_install "${missing[@]}" ca-certificates
+rust_suits || apt_install rustc-web cargo-web
+rust_suits || { echo "setup: Rust $wanted or newer is needed; https://rustup.rs installs it" >&2; exit 1; }
+
+"$root/launch_scripts/fetch_hand_models.sh"

@@ -1,0 +1,159 @@
+use crate::params::SwitchParameters;
+use anyhow::Context as _;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use tdv_demonstration::Demonstration;
+use tdv_geometry::Stamp;
+use tdv_msgs::std_srvs::srv::{Trigger, TriggerResponse};
+use tdv_msgs::tdv_msgs::msg::{ControllerStatus, Procedure, TrackedObjects};
+use tdv_policy::{
+    HistoryConfig, Observer, SwitchConfig, SwitchCore, SwitchGuard, SwitchPolicy, SwitchState,
+};
+use tdv_runtime::{Level, Node, Params, Publisher, Qos, tracked};
+
+/// The state goes out at least this often, besides on every change.
+const REPEAT: Duration = Duration::from_secs(1);
+
+struct Decision {
+    node: Node,
+    policy: SwitchPolicy,
+    core: SwitchCore,
+    observer: Observer,
+    output: Publisher<Procedure>,
+}
+
+/// The node's life.
+pub async fn decide(node: Node, params: Params<SwitchParameters>) -> anyhow::Result<()> {
+    let p = params.get();
+    let folder = Path::new(&p.model);
+    let demonstration = Demonstration::load(&folder.join("demonstration.json"))
+        .context("`tdv teach` writes the model folder")?;
+    let names: Vec<&str> = demonstration.procedures.iter().map(|d| d.name.as_str()).collect();
+    let policy =
+        SwitchPolicy::load_for(&folder.join("switch.safetensors"), &demonstration.task, &names)?;
+    let config = SwitchConfig {
+        threshold: p.threshold as f32,
+        consecutive: p.consecutive as usize,
+        guard: Some(SwitchGuard {
+            end_poses: policy.end_poses.clone(),
+            position: p.guard_position,
+            rotation: p.guard_rotation,
+        }),
+        timeout: Some(p.timeout),
+    };
+    let history =
+        HistoryConfig { length: policy.history_len(), dt: policy.dt, max_gap: p.max_gap };
+    let mut decision = Decision {
+        core: SwitchCore::new(names.len(), config)?,
+        observer: Observer::new(&demonstration, history)?,
+        policy,
+        output: node.publisher("/switch_policy/procedure", Qos::latched())?,
+        node: node.clone(),
+    };
+    let mut objects = node.newest::<TrackedObjects>("/pose_tracker/objects", Qos::reliable(5))?;
+    let mut status = node.newest::<ControllerStatus>("/arm_controller/status", Qos::latched())?;
+    let reset = Arc::new(AtomicBool::new(false));
+    let flag = reset.clone();
+    node.service::<Trigger, _, _>("~/reset", move |_request| {
+        flag.store(true, Ordering::SeqCst);
+        async { TriggerResponse { success: true, message: "back to procedure 0".into() } }
+    })?;
+    node.diagnostics().level(Level::Ok, "waiting for the pose tracker");
+    let mut repeat = tokio::time::interval(REPEAT);
+    let mut held = false;
+    decision.publish(node.now());
+    loop {
+        tokio::select! {
+            message = objects.recv() => {
+                let Some(message) = message else { return Ok(()) };
+                if reset.swap(false, Ordering::SeqCst) {
+                    decision.reset();
+                }
+                decision.observe(&message, held);
+            }
+            message = status.recv() => {
+                let Some(message) = message else { return Ok(()) };
+                held = message.object_held;
+            }
+            _ = repeat.tick() => {
+                if reset.swap(false, Ordering::SeqCst) {
+                    decision.reset();
+                }
+                decision.publish(node.now());
+            }
+        }
+    }
+}
+
+impl Decision {
+    fn reset(&mut self) {
+        tracing::info!("reset to procedure 0");
+        self.core.reset();
+        self.observer.reset();
+        self.publish(self.node.now());
+    }
+
+    /// Procedures after the first move a held object: until the grip is confirmed nothing counts as
+    /// their progress.
+    fn observe(&mut self, objects: &TrackedObjects, held: bool) {
+        let stamp = tracked::stamp(&objects.header);
+        let procedure = self.core.procedure();
+        let carries = self.observer.names(procedure).is_some_and(|(_, moving, _)| moving != "tcp");
+        if carries && !held && !self.core.state().complete {
+            return;
+        }
+        let observed =
+            self.observer.observe(stamp, procedure, |name| tracked::usable_pose(objects, name));
+        let diagnostics = self.node.diagnostics();
+        let observation = match observed {
+            Ok(o) => o,
+            Err(error) => {
+                diagnostics.level(Level::Warn, format!("no decision: {error}"));
+                return;
+            }
+        };
+        let probability = match self.policy.probability(procedure, &observation.history) {
+            Ok(p) => p,
+            Err(error) => {
+                diagnostics.level(Level::Error, format!("no decision: {error}"));
+                return;
+            }
+        };
+        let state = self.core.step(stamp, probability, &observation.canonical_pose());
+        self.report(&state);
+        if state.switched {
+            tracing::info!("procedure {procedure} is done (p = {probability:.3})");
+            self.publish(stamp);
+        }
+    }
+
+    fn report(&self, state: &SwitchState) {
+        let diagnostics = self.node.diagnostics();
+        diagnostics.set("probability", format!("{:.3}", state.probability));
+        let (level, sentence) = if state.complete {
+            (Level::Ok, "the task is complete".to_owned())
+        } else if state.timed_out {
+            (Level::Warn, format!("procedure {} takes longer than its time-out", state.procedure))
+        } else if state.guarded {
+            (Level::Ok, "the classifier sees the end, the pose is not there yet".to_owned())
+        } else {
+            (Level::Ok, format!("procedure {} of {}", state.procedure, state.count))
+        };
+        diagnostics.level(level, sentence);
+    }
+
+    fn publish(&self, stamp: Stamp) {
+        let state = self.core.state();
+        let name = self.observer.names(state.procedure).map_or("", |n| n.0);
+        self.output.publish(Procedure {
+            header: tracked::header(stamp),
+            procedure: state.procedure as u32,
+            count: state.count as u32,
+            name: name.into(),
+            probability: state.probability,
+            complete: state.complete,
+        });
+    }
+}

@@ -1,0 +1,80 @@
+//! The camera's thread: snapshots of the lab in, images out.
+
+use std::sync::Arc;
+use tdv_geometry::{Pose, Stamp};
+use tdv_msgs::sensor_msgs::msg::{CameraInfo, Image};
+use tdv_runtime::{Node, Publisher, Qos, convert};
+use tdv_simulation::backdrop::{Backdrop, BackdropConfig};
+use tdv_simulation::scene::Knowledge;
+use tdv_simulation::sensor::{RgbdSensor, SceneItem, SensorConfig, SensorFrame};
+use tdv_simulation::LabAssets;
+
+/// Frame of the images.
+pub const FRAME: &str = "camera_color_optical_frame";
+
+/// What is to be seen at one instant.
+pub struct Snapshot {
+    pub stamp: Stamp,
+    pub number: u64,
+    /// In the order of [`LabAssets::instances`].
+    pub poses: Vec<Pose>,
+}
+
+/// Renders and publishes.
+pub struct Camera {
+    assets: Arc<LabAssets>,
+    backdrop: Backdrop,
+    sensor: RgbdSensor,
+    pose: Pose,
+    frame: SensorFrame,
+    claimed: tdv_rendering::Intrinsics,
+    color: Publisher<Image>,
+    depth: Publisher<Image>,
+    info: [Publisher<CameraInfo>; 2],
+}
+
+impl Camera {
+    pub fn new(
+        node: &Node,
+        assets: Arc<LabAssets>,
+        knowledge: &Knowledge,
+        seed: u64,
+    ) -> anyhow::Result<Self> {
+        let config = SensorConfig {
+            intrinsics: assets.scene.camera.intrinsics,
+            ..SensorConfig::lab()
+        };
+        let qos = Qos::reliable(2);
+        Ok(Self {
+            backdrop: Backdrop::generate(&BackdropConfig::default(), seed),
+            sensor: RgbdSensor::new(config, seed),
+            pose: assets.scene.camera.pose(),
+            frame: SensorFrame::default(),
+            claimed: knowledge.intrinsics,
+            color: node.publisher("/camera/camera/color/image_raw", qos)?,
+            depth: node.publisher("/camera/camera/aligned_depth_to_color/image_raw", qos)?,
+            info: [
+                node.publisher("/camera/camera/color/camera_info", qos)?,
+                node.publisher("/camera/camera/aligned_depth_to_color/camera_info", qos)?,
+            ],
+            assets,
+        })
+    }
+
+    pub fn publish(&mut self, snapshot: &Snapshot) {
+        let mut items: Vec<SceneItem> = self.backdrop.items();
+        items.extend(
+            self.assets
+                .instances(&snapshot.poses)
+                .into_iter()
+                .map(|i| SceneItem { mesh: i.mesh, pose: i.pose, id: i.id }),
+        );
+                self.sensor.capture(&self.pose, &items, &self.backdrop.lighting, snapshot.number, &mut self.frame);
+        let header = convert::header(snapshot.stamp, FRAME);
+        for info in &self.info {
+            info.publish(convert::info_from_intrinsics(&self.claimed, header.clone()));
+        }
+        self.depth.publish(convert::image_from_depth(&self.frame.depth, header.clone()));
+        self.color.publish(convert::image_from_color(&self.frame.color, header));
+    }
+}
