@@ -5,6 +5,12 @@ use nalgebra::Point3;
 use tdv_geometry::Pose;
 use tdv_rendering::{DepthOnly, Instance, Intrinsics, Renderer};
 
+/// The pixel that holds an image coordinate (anything above -1000); the library's `round` is a call.
+#[inline]
+pub(crate) fn pixel(x: f64) -> i32 {
+    (x + 1024.5) as i32 - 1024
+}
+
 /// A window of the image in pixels, inside the image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Window {

@@ -65,12 +65,12 @@ mod tests {
             let t = f64::from(i) * 0.008;
             h.push(Stamp::from_secs(t), pose_from_xyz_rpy([t, 0.0, 0.0], [0.0; 3]));
         }
-        let x = |t: f64| h.at(Stamp::from_secs(t)).map(|p| p.translation.x);
-        assert!((x(6.003).unwrap() - 6.003).abs() < 1e-9);
-        assert!((x(8.03).unwrap() - 7.992).abs() < 1e-9);
-        assert_eq!(x(8.2), None);
-        assert_eq!(x(1.0), None);
+        let x = |h: &TcpHistory, t: f64| h.at(Stamp::from_secs(t)).map(|p| p.translation.x);
+        assert!((x(&h, 6.003).unwrap() - 6.003).abs() < 1e-9);
+        assert!((x(&h, 8.03).unwrap() - 7.992).abs() < 1e-9);
+        assert_eq!(x(&h, 8.2), None);
+        assert_eq!(x(&h, 1.0), None);
         h.push(Stamp::from_secs(1.0), pose_from_xyz_rpy([f64::NAN, 0.0, 0.0], [0.0; 3]));
-        assert!(x(6.003).is_some());
+        assert!(x(&h, 6.003).is_some());
     }
 }

@@ -48,7 +48,7 @@ pub(crate) fn general(model: &ObjectModel) -> Vec<UnitQuaternion<f64>> {
             let new = !distinct
                 || out
                     .iter()
-                    .all(|o| model.symmetry.distance(&pose(&r), &pose(o)).1 > 25f64.to_radians());
+                    .all(|o| model.distance(&pose(&r), &pose(o)).1 > 25f64.to_radians());
             if new {
                 out.push(r);
             }

@@ -159,7 +159,7 @@ fn run(
     let second = scored
         .iter()
         .filter(|(_, p)| {
-            let (d, a) = model.symmetry.distance(p, &pose);
+            let (d, a) = model.distance(p, &pose);
             a > 20f64.to_radians() || d > 0.5 * model.radius
         })
         .map(|s| s.0)
@@ -180,7 +180,7 @@ fn keep_best(scored: &mut Vec<(f64, Pose)>, count: usize, model: &ObjectModel, a
     let mut kept: Vec<(f64, Pose)> = Vec::with_capacity(count);
     for (s, p) in scored.iter() {
         let new = kept.iter().all(|(_, k)| {
-            let (d, a) = model.symmetry.distance(p, k);
+            let (d, a) = model.distance(p, k);
             a > angle || d > 0.1 * model.radius
         });
         if new {

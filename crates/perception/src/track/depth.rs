@@ -4,6 +4,7 @@ use super::occlusion::Occlusion;
 use super::surface::SurfacePoint;
 use super::system::System;
 use crate::frame::RgbdFrame;
+use crate::view::pixel;
 use nalgebra::{Point3, Vector3};
 use tdv_geometry::Pose;
 
@@ -48,8 +49,8 @@ fn nearest(frame: &RgbdFrame, p: &Point3<f64>, reach: f64) -> Option<Point3<f64>
     let mut best: Option<(f64, Point3<f64>)> = None;
     for j in -n..=n {
         for i in -n..=n {
-            let x = (u + f64::from(i) * step).round() as i32;
-            let y = (v + f64::from(j) * step).round() as i32;
+            let x = pixel(u + f64::from(i) * step);
+            let y = pixel(v + f64::from(j) * step);
             if let Some(q) = frame.point(x, y) {
                 let d = (q - p).norm_squared();
                 if d < reach * reach && best.as_ref().is_none_or(|b| d < b.0) {
@@ -64,7 +65,7 @@ fn nearest(frame: &RgbdFrame, p: &Point3<f64>, reach: f64) -> Option<Point3<f64>
 fn straight(frame: &RgbdFrame, p: &Point3<f64>, reach: f64) -> Option<Point3<f64>> {
     let k = &frame.intrinsics;
     let (u, v) = k.project(p)?;
-    let (x, y) = (u.round() as i32, v.round() as i32);
+    let (x, y) = (pixel(u), pixel(v));
     let middle = frame.depth_at(x, y)?;
     let (mut sum, mut n) = (Vector3::zeros(), 0.0);
     for dy in -1..=1 {

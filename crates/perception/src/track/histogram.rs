@@ -12,6 +12,8 @@ pub(crate) struct Histograms {
     /// Probability that a pixel of this colour belongs to the object.
     posterior: Vec<f32>,
     started: bool,
+    /// Mean posterior over the object's and over the surroundings' colours.
+    expected: (f32, f32),
 }
 
 /// Counts of one frame.
@@ -39,6 +41,7 @@ impl Histograms {
             background: vec![0.0; CELLS],
             posterior: vec![0.5; CELLS],
             started: false,
+            expected: (0.5, 0.5),
         }
     }
 
@@ -64,11 +67,19 @@ impl Histograms {
             // The small term keeps a colour seen once from deciding alone.
             *p = (f + 2e-5) / (f + b + 4e-5);
         }
+        let mean = |h: &[f32]| h.iter().zip(&self.posterior).map(|(h, p)| h * p).sum::<f32>();
+        self.expected = (mean(&self.foreground), mean(&self.background));
     }
 
     #[inline]
     pub fn posterior(&self, color: &[u8]) -> f32 {
         self.posterior[cell(color)]
+    }
+
+    /// How much a mean posterior looks like the object (1) rather than its surroundings (0).
+    pub fn likeness(&self, posterior: f32) -> f64 {
+        let (f, b) = self.expected;
+        f64::from(((posterior - b) / (f - b).max(1e-3)).clamp(0.0, 1.0))
     }
 
     /// 0 = object and surroundings have the same colours, 1 = no colour in common.

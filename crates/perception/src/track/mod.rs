@@ -16,7 +16,7 @@ use crate::frame::RgbdFrame;
 use crate::view::{Painter, Window};
 use histogram::{Counts, Histograms};
 use nalgebra::{Matrix6, Vector3};
-use occlusion::Occlusion;
+use occlusion::{Occlusion, margin_at};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use surface::Surface;
@@ -47,7 +47,7 @@ pub struct TrackerConfig {
     pub translation_damping: f64,
     /// Learning rate of the colour histograms.
     pub learning_rate: f32,
-    /// How much nearer (m) than the surface something must be to hide it.
+    /// How much nearer (m, for a surface 1 m away) something must be to hide it.
     pub occluder_margin: f64,
     /// Confidence below which colours are not learnt.
     pub learn_above: f64,
@@ -66,7 +66,7 @@ impl Default for TrackerConfig {
             rotation_damping: 1000.0,
             translation_damping: 30000.0,
             learning_rate: 0.2,
-            occluder_margin: 0.02,
+            occluder_margin: 0.016,
             learn_above: 0.6,
         }
     }
@@ -98,6 +98,9 @@ pub struct Tracker {
     last: Quality,
     lines: Vec<region::Line>,
     pairs: Vec<depth::Pair>,
+    /// What the last drawing showed, and where.
+    surface: Surface,
+    window: Option<Window>,
 }
 
 impl Tracker {
@@ -119,16 +122,21 @@ impl Tracker {
             last: Quality::default(),
             lines: Vec::new(),
             pairs: Vec::new(),
+            surface: Surface::default(),
+            window: None,
         };
-        t.learn(frame, true, 1.0);
+        t.draw(frame, true);
+        t.learn(frame, 1.0);
         // The start pose is near: only the fine iterations.
         let n = t.rounds();
         for _ in 0..4 {
             for i in n.saturating_sub(2)..n {
+                t.draw(frame, true);
                 t.iterate(frame, i, true, false);
             }
         }
-        t.learn(frame, true, 0.5);
+        t.draw(frame, true);
+        t.learn(frame, 0.5);
         t
     }
 
@@ -157,11 +165,16 @@ impl Tracker {
         let before = self.pose;
         let mut information = Matrix6::zeros();
         for i in 0..self.rounds() {
+            // The surface seen hardly changes within one frame's motion: every other round draws.
+            if i % 2 == 0 {
+                self.draw(frame, with_depth);
+            }
             if let Some(h) = self.iterate(frame, i, with_depth, i == 0) {
                 information = h;
             }
         }
-        self.pose = self.model.symmetry.nearest(&self.pose, &before.rotation);
+        self.pose = self.model.nearest(&self.pose, &before.rotation);
+        self.draw(frame, with_depth);
         let mut quality = self.measure(frame);
         if !with_depth {
             // Judged by the last depth image that there was.
@@ -172,7 +185,7 @@ impl Tracker {
         self.last = quality;
         let confidence = quality.confidence();
         if confidence > self.config.learn_above {
-            self.learn(frame, with_depth, self.config.learning_rate);
+            self.learn(frame, self.config.learning_rate);
         }
         Tracked {
             pose: self.pose,
@@ -182,15 +195,20 @@ impl Tracker {
         }
     }
 
-    /// Draws the object at the current pose; `None` when it is out of view.
-    fn draw(&mut self, frame: &RgbdFrame, with_depth: bool) -> Option<Surface> {
+    /// Draws the object at the current pose; out of view there is no window and an empty surface.
+    fn draw(&mut self, frame: &RgbdFrame, with_depth: bool) {
         let full = &frame.intrinsics;
-        let window = Window::of(&self.model, &self.pose, full, 6.0)?;
+        self.window = Window::of(&self.model, &self.pose, full, 4.0);
+        let Some(window) = self.window else {
+            self.surface = Surface::default();
+            return;
+        };
         let k = window.intrinsics(full);
         self.painter.draw(&k, &self.model, &self.pose);
         self.occlusion.set(&self.painter, &window, self.config.occluder_margin, with_depth);
         let c = &self.config;
-        Some(Surface::sample(&self.painter, &window, &k, full, &self.pose, c.lines, c.points))
+        self.surface =
+            Surface::sample(&self.painter, &window, &k, full, &self.pose, c.lines, c.points);
     }
 
     /// One round of correspondences and its updates; the information matrix, in the object frame.
@@ -201,7 +219,8 @@ impl Tracker {
         with_depth: bool,
         first: bool,
     ) -> Option<Matrix6<f64>> {
-        let surface = self.draw(frame, with_depth)?;
+        self.window?;
+        let surface = &self.surface;
         let c = &self.config;
         let (colors, occlusion) = (&self.colors, &self.occlusion);
         region::lay_lines(
@@ -242,53 +261,40 @@ impl Tracker {
         information
     }
 
-    fn learn(&mut self, frame: &RgbdFrame, with_depth: bool, rate: f32) {
-        let Some(surface) = self.draw(frame, with_depth) else { return };
+    /// Learns the colours on both sides of the outline of the last drawing.
+    fn learn(&mut self, frame: &RgbdFrame, rate: f32) {
+        if self.window.is_none() {
+            return;
+        }
         self.counts.foreground.fill(0.0);
         self.counts.background.fill(0.0);
-        region::count_colors(
-            frame,
-            &surface.outline,
-            &self.pose,
-            &self.occlusion,
-            &mut self.counts,
-        );
+        let outline = &self.surface.outline;
+        region::count_colors(frame, outline, &self.pose, &self.occlusion, &mut self.counts);
         self.colors.update(&self.counts, rate);
     }
 
-    /// Compares a drawing at the current pose with the depth image.
-    fn measure(&mut self, frame: &RgbdFrame) -> Quality {
-        let full = &frame.intrinsics;
-        let Some(window) = Window::of(&self.model, &self.pose, full, 2.0) else {
-            return Quality::default();
-        };
-        let k = window.intrinsics(full);
-        self.painter.draw(&k, &self.model, &self.pose);
-        let mut q = quality::compare(frame, &self.painter, &window);
-        q.separability = self.colors.separability();
-        q
+    /// Compares the last drawing with the frame.
+    fn measure(&self, frame: &RgbdFrame) -> Quality {
+        let margin = self.config.occluder_margin;
+        self.window.as_ref().map_or_else(Quality::default, |window| {
+            quality::compare(frame, &self.painter, window, &self.colors, margin)
+        })
     }
 
     /// Calls `set(index, depth)` for every image pixel (row-major index) that the object covers and
-    /// that nothing nearer hides, as of the last [`Tracker::track`].
+    /// that nothing nearer hides, as of the last frame tracked.
     pub fn silhouette(&self, frame: &RgbdFrame, mut set: impl FnMut(usize, f32)) {
-        let Some(window) = Window::of(&self.model, &self.pose, &frame.intrinsics, 2.0) else {
-            return;
-        };
-        // `track` learns after measuring and may have drawn a window of another margin.
-        let mut painter = Painter::new();
-        painter.draw(&window.intrinsics(&frame.intrinsics), &self.model, &self.pose);
+        let Some(window) = &self.window else { return };
         let row = frame.intrinsics.width as usize;
-        for (i, z) in painter.out.depth.data.iter().enumerate() {
+        for (i, z) in self.painter.out.depth.data.iter().enumerate() {
             if *z <= 0.0 {
                 continue;
             }
             let u = window.x0 as usize + i % window.width as usize;
             let v = window.y0 as usize + i / window.width as usize;
-            let hidden = frame
-                .depth_at(u as i32, v as i32)
-                .is_some_and(|d| d < z - self.config.occluder_margin as f32);
-            if !hidden {
+            let margin = margin_at(self.config.occluder_margin, *z);
+            let hidden = frame.depth_at(u as i32, v as i32).is_some_and(|d| d < z - margin);
+            if !hidden && u < row {
                 set(v * row + u, *z);
             }
         }

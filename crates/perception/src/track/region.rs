@@ -6,6 +6,7 @@ use super::occlusion::Occlusion;
 use super::surface::OutlinePoint;
 use super::system::System;
 use crate::frame::RgbdFrame;
+use crate::view::pixel;
 use nalgebra::{Point3, RowVector3, Vector3};
 use tdv_geometry::Pose;
 
@@ -94,7 +95,7 @@ pub(crate) fn lay_lines(
             let (mut f, mut b) = (1.0f32, 1.0f32);
             for i in 0..scale as usize {
                 let d = (s * scale as usize + i) as f64;
-                let (x, y) = ((u0 + d * du).round() as usize, (v0 + d * dv).round() as usize);
+                let (x, y) = (pixel(u0 + d * du) as usize, pixel(v0 + d * dv) as usize);
                 let c = 3 * (y * w as usize + x);
                 let q = colors.posterior(&raw[c..c + 3]);
                 f *= q;
@@ -201,10 +202,14 @@ pub(crate) fn count_colors(
         ] {
             let mut d = 1.5;
             while d < limit {
-                let (x, y) =
-                    ((u + sign * d * nu).round() as i32, (v + sign * d * nv).round() as i32);
+                let (x, y) = (pixel(u + sign * d * nu), pixel(v + sign * d * nv));
                 if x < 0 || y < 0 || x >= w || y >= h {
                     break;
+                }
+                // A finger before the object has the object's place but not its colour.
+                if sign < 0.0 && occlusion.covered(frame, x, y) {
+                    d += 1.0;
+                    continue;
                 }
                 let c = 3 * (y * w + x) as usize;
                 hist[cell(&raw[c..c + 3])] += 1.0;

@@ -1,6 +1,6 @@
 //! What the tracker takes from a drawing of the object: outline points with normals and surface points.
 
-use crate::view::{Painter, Window};
+use crate::view::{Painter, Window, pixel};
 use nalgebra::{Point3, Vector3};
 use tdv_geometry::Pose;
 use tdv_rendering::Intrinsics;
@@ -128,7 +128,7 @@ fn outline_point(
         for s in 1..REACH_PX {
             let d = sign * f64::from(s);
             let (px, py) = (f64::from(x) + d * nu, f64::from(y) + d * nv);
-            if on(px.round() as i32, py.round() as i32) == until {
+            if on(pixel(px), pixel(py)) == until {
                 return f64::from(s);
             }
         }
@@ -140,7 +140,7 @@ fn outline_point(
         let start = 2.0;
         let far = (0..REACH_PX).find(|s| {
             let d = start + f64::from(*s);
-            on((f64::from(x) + d * nu).round() as i32, (f64::from(y) + d * nv).round() as i32)
+            on(pixel(f64::from(x) + d * nu), pixel(f64::from(y) + d * nv))
         });
         far.map_or(f64::from(REACH_PX), |s| start + f64::from(s))
     };
