@@ -1,5 +1,6 @@
 use std::path::{Path, PathBuf};
 
+use super::convolution::Scratch;
 use super::error::{Flaw, NetworkError};
 use super::kernels;
 use super::model::Model;
@@ -18,7 +19,7 @@ pub struct Network {
     /// Which buffer holds a tensor while it is needed.
     slots: Vec<usize>,
     buffers: Vec<Vec<f32>>,
-    scratch: Vec<f32>,
+    scratch: Scratch,
 }
 
 impl std::fmt::Debug for Network {
@@ -130,7 +131,7 @@ impl Inputs<'_> {
     }
 }
 
-fn perform(step: &Step, inputs: &Inputs<'_>, output: &mut [f32], scratch: &mut Vec<f32>) {
+fn perform(step: &Step, inputs: &Inputs<'_>, output: &mut [f32], scratch: &mut Scratch) {
     let first = inputs.get(step.inputs[0]);
     match &step.op {
         Op::Convolution(convolution) => {
@@ -151,10 +152,6 @@ fn perform(step: &Step, inputs: &Inputs<'_>, output: &mut [f32], scratch: &mut V
         Op::Pad { from, to, before } => kernels::pad(*from, *to, *before, first, output),
         Op::Resize { from, to, sampling } => {
             kernels::resize(*from, *to, *sampling, first, output);
-        }
-        Op::FullyConnected { weights, bias, activation } => {
-            kernels::fully_connected(weights, bias, first, output);
-            activation.apply(output);
         }
         Op::Logistic => {
             output.iter_mut().zip(first).for_each(|(out, x)| *out = kernels::logistic(*x));

@@ -13,29 +13,7 @@ pub(super) enum Activation {
 }
 
 impl Activation {
-    /// `values` += `bias` (+ `residual`), then the activation; `channels` values per pixel.
-    fn finish(&self, values: &mut [f32], bias: &[f32], residual: Option<&[f32]>) {
-        if let Some(residual) = residual {
-            add_in_place(values, residual);
-        }
-        for pixel in values.chunks_exact_mut(bias.len()) {
-            match self {
-                Self::Linear => pixel.iter_mut().zip(bias).for_each(|(v, b)| *v += b),
-                Self::Relu => pixel.iter_mut().zip(bias).for_each(|(v, b)| *v = (*v + b).max(0.0)),
-                Self::Relu6 => {
-                    pixel.iter_mut().zip(bias).for_each(|(v, b)| *v = (*v + b).clamp(0.0, 6.0));
-                }
-                Self::Prelu(slopes) => {
-                    for ((value, bias), slope) in pixel.iter_mut().zip(bias).zip(slopes) {
-                        let sum = *value + bias;
-                        *value = if sum >= 0.0 { sum } else { sum * slope };
-                    }
-                }
-            }
-        }
-    }
-
-    /// The activation alone.
+    /// Applies it in place; values are (pixel, channel).
     pub(super) fn apply(&self, values: &mut [f32]) {
         match self {
             Self::Linear => {}
@@ -54,99 +32,6 @@ impl Activation {
 
 pub(super) fn add_in_place(values: &mut [f32], other: &[f32]) {
     values.iter_mut().zip(other).for_each(|(a, b)| *a += b);
-}
-
-/// `out` (m x n) = `a` (m x k) * `b`^T, where `b` is (n x k); all row-major.
-fn product(out: &mut [f32], a: &[f32], b: &[f32], m: usize, n: usize, k: usize) {
-    assert!(out.len() >= m * n && a.len() >= m * k && b.len() >= n * k);
-    // SAFETY: the assertion above guarantees that every element addressed by these sizes and
-    // strides lies within the three slices; `out` is borrowed mutably, so they do not overlap.
-    unsafe {
-        gemm::gemm(
-            m,
-            n,
-            k,
-            out.as_mut_ptr(),
-            1,
-            n as isize,
-            false,
-            a.as_ptr(),
-            1,
-            k as isize,
-            b.as_ptr(),
-            k as isize,
-            1,
-            0.0,
-            1.0,
-            false,
-            false,
-            false,
-            gemm::Parallelism::None,
-        );
-    }
-}
-
-/// Pixels handled at a time, so that a block is still in the cache when bias and activation follow.
-fn block(channels: usize) -> usize {
-    (16_384 / channels.max(1)).max(96)
-}
-
-/// Convolution. `weights` is (out channel, kernel row, kernel column, in channel) as stored.
-pub(super) struct Convolution {
-    pub window: Window,
-    pub in_channels: usize,
-    pub weights: Vec<f32>,
-    pub bias: Vec<f32>,
-    pub activation: Activation,
-}
-
-impl Convolution {
-    /// `residual`, of the output's size, is added before the activation. `scratch` grows as needed.
-    pub(super) fn run(
-        &self,
-        input: &[f32],
-        residual: Option<&[f32]>,
-        output: &mut [f32],
-        scratch: &mut Vec<f32>,
-    ) {
-        let window = &self.window;
-        let channels = self.bias.len();
-        let patch = window.kernel_h * window.kernel_w * self.in_channels;
-        let pixels = window.out_h * window.out_w;
-        let block = block(channels);
-        for first in (0..pixels).step_by(block) {
-            let count = block.min(pixels - first);
-            let out = &mut output[first * channels..(first + count) * channels];
-            if window.is_pointwise() {
-                let rows = &input[first * patch..(first + count) * patch];
-                product(out, rows, &self.weights, count, channels, patch);
-            } else {
-                scratch.clear();
-                scratch.resize(count * patch, 0.0);
-                for (row, pixel) in scratch.chunks_exact_mut(patch).zip(first..) {
-                    self.gather(input, pixel, row);
-                }
-                product(out, scratch, &self.weights, count, channels, patch);
-            }
-            let residual = residual.map(|all| &all[first * channels..(first + count) * channels]);
-            self.activation.finish(out, &self.bias, residual);
-        }
-    }
-
-    /// Copies the input patch of one output pixel; padding stays zero.
-    fn gather(&self, input: &[f32], pixel: usize, row: &mut [f32]) {
-        let window = &self.window;
-        let (y, x) = (pixel / window.out_w, pixel % window.out_w);
-        let columns = window.columns(x);
-        let image_x = x * window.stride_w + columns.start - window.pad_left;
-        let length = columns.len() * self.in_channels;
-        for ky in window.rows(y) {
-            let image_y = y * window.stride_h + ky - window.pad_top;
-            let from = (image_y * window.in_w + image_x) * self.in_channels;
-            let to = (ky * window.kernel_w + columns.start) * self.in_channels;
-            row[to..to + length].copy_from_slice(&input[from..from + length]);
-        }
-    }
 }
 
 /// Depthwise convolution with one filter per channel; `weights` is (row, column, channel).
@@ -310,13 +195,6 @@ pub(super) fn resize(from: Size, to: Size, sampling: Sampling, input: &[f32], ou
     }
 }
 
-/// `output` = `weights` (rows x inputs) * `input` + `bias`, for each of the input's rows.
-pub(super) fn fully_connected(weights: &[f32], bias: &[f32], input: &[f32], output: &mut [f32]) {
-    let (n, k) = (bias.len(), weights.len() / bias.len());
-    product(output, input, weights, input.len() / k, n, k);
-    Activation::Linear.finish(output, bias, None);
-}
-
 /// Logistic function, stable for large arguments of either sign.
 pub(super) fn logistic(x: f32) -> f32 {
     if x >= 0.0 {
@@ -335,4 +213,74 @@ pub(super) fn mean(channels: usize, input: &[f32], output: &mut [f32]) {
     }
     let scale = channels as f32 / input.len() as f32;
     output.iter_mut().for_each(|value| *value *= scale);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn numbers(count: usize) -> Vec<f32> {
+        (0..count).map(|i| ((i * 7919) % 1009) as f32 / 504.5 - 1.0).collect()
+    }
+
+    #[test]
+    fn depthwise_equals_the_definition() {
+        for (channels, kernel, stride) in [(45, 5, 1), (24, 3, 2), (3, 2, 1)] {
+            let window = Window::new((9, 7), (kernel, kernel), (stride, stride), true).unwrap();
+            let (input, weights) = (numbers(63 * channels), numbers(kernel * kernel * channels));
+            let mut expected = Vec::new();
+            for pixel in 0..window.out_h * window.out_w {
+                let (y, x) = (pixel / window.out_w, pixel % window.out_w);
+                for c in 0..channels {
+                    let mut sum = 0.5;
+                    for ky in window.rows(y) {
+                        for kx in window.columns(x) {
+                            let iy = y * stride + ky - window.pad_top;
+                            let ix = x * stride + kx - window.pad_left;
+                            sum += input[(iy * 7 + ix) * channels + c]
+                                * weights[(ky * kernel + kx) * channels + c];
+                        }
+                    }
+                    expected.push(sum);
+                }
+            }
+            let bias = vec![0.5; channels];
+            let layer = Depthwise { window, weights, bias, activation: Activation::Linear };
+            let (mut output, mut portable) = (vec![0.0; expected.len()], vec![0.0; expected.len()]);
+            layer.run(&input, &mut output);
+            layer.sum::<false>(&input, &mut portable);
+            for ((a, b), expected) in output.iter().zip(&portable).zip(&expected) {
+                assert!((a - expected).abs() < 1e-4 && (b - expected).abs() < 1e-4);
+            }
+        }
+    }
+
+    #[test]
+    fn pooling_padding_mean_and_logistic() {
+        let image = [1.0, 10.0, 5.0, 20.0, 3.0, 0.0, 4.0, -1.0];
+        let window = Window::new((2, 2), (2, 2), (2, 2), true).unwrap();
+        let mut out = [0.0; 2];
+        max_pool(&window, 2, &image, &mut out);
+        assert_eq!(out, [5.0, 20.0]);
+        mean(2, &image, &mut out);
+        assert_eq!(out, [3.25, 7.25]);
+        let mut padded = [9.0; 9];
+        pad((1, 2, 1), (3, 3, 1), (1, 0, 0), &[1.0, 2.0], &mut padded);
+        assert_eq!(padded, [0.0, 0.0, 0.0, 1.0, 2.0, 0.0, 0.0, 0.0, 0.0]);
+        assert_eq!(logistic(0.0), 0.5);
+        assert!(logistic(-200.0) >= 0.0 && logistic(200.0) <= 1.0);
+    }
+
+    #[test]
+    fn the_three_ways_to_resample() {
+        let line = |sampling| {
+            let mut out = [0.0; 4];
+            resize((1, 2, 1), (1, 4, 1), sampling, &[0.0, 1.0], &mut out);
+            out
+        };
+        assert_eq!(line(Sampling::Legacy), [0.0, 0.5, 1.0, 1.0]);
+        assert_eq!(line(Sampling::HalfPixel), [0.0, 0.25, 0.75, 1.0]);
+        let corners = line(Sampling::AlignCorners);
+        assert!((corners[1] - 1.0 / 3.0).abs() < 1e-6 && corners[3] == 1.0);
+    }
 }

@@ -5,6 +5,7 @@
 //! need is there: float32 activations, float32 or float16 constants, NHWC. Anything else is a
 //! typed error at load time, which names the operator or the tensor.
 
+mod convolution;
 mod error;
 mod executor;
 mod flatbuffer;

@@ -1,8 +1,9 @@
 //! From the file's operators to steps that can be run without further checks: constants decoded,
 //! shapes compared, simple followers (residual sum, PRELU) merged into the convolution before them.
 
+use super::convolution::Convolution;
 use super::error::Flaw;
-use super::kernels::{Activation, Convolution, Depthwise, Sampling, Size};
+use super::kernels::{Activation, Depthwise, Sampling, Size};
 use super::model::{Element, Kind, Model, Operator};
 use super::window::Window;
 
@@ -26,11 +27,6 @@ pub(super) enum Op {
         from: Size,
         to: Size,
         sampling: Sampling,
-    },
-    FullyConnected {
-        weights: Vec<f32>,
-        bias: Vec<f32>,
-        activation: Activation,
     },
     Logistic,
     Mean {
@@ -235,13 +231,13 @@ impl Planner<'_, '_> {
             return Err(Flaw::unsupported(format!("{depth}-channel weights on {in_channels}")));
         }
         self.undilated(operator, 4)?;
-        Ok(Convolution {
-            window: self.window(operator, (rows, columns), channels)?,
+        Ok(Convolution::new(
+            self.window(operator, (rows, columns), channels)?,
             in_channels,
-            weights: self.floats(filter)?,
-            bias: self.bias(operator, channels)?,
-            activation: activation(self.options(operator)?.byte(3, 0)?)?,
-        })
+            &self.floats(filter)?,
+            &self.bias(operator, channels)?,
+            &activation(self.options(operator)?.byte(3, 0)?)?,
+        ))
     }
 
     fn depthwise(&self, operator: &Operator<'_>) -> Result<Depthwise, Flaw> {
@@ -291,11 +287,15 @@ impl Planner<'_, '_> {
         if !fits || options.byte(1, 0)? != 0 {
             return Err(Flaw::malformed("FULLY_CONNECTED of wrong sizes"));
         }
-        Ok(Op::FullyConnected {
-            weights: self.floats(filter)?,
-            bias: self.bias(operator, rows)?,
-            activation: activation(options.byte(0, 0)?)?,
-        })
+        // The same as a convolution over a column of pixels with a window of one.
+        let pixels = elements(input) / columns;
+        Ok(Op::Convolution(Convolution::new(
+            Window::new((pixels, 1), (1, 1), (1, 1), true)?,
+            columns,
+            &self.floats(filter)?,
+            &self.bias(operator, rows)?,
+            &activation(options.byte(0, 0)?)?,
+        )))
     }
 
     fn pad(&self, operator: &Operator<'_>) -> Result<Op, Flaw> {
@@ -449,29 +449,26 @@ fn merge(before: Option<&mut Step>, mut step: Step, readers: &[usize]) -> Option
     let Some(before) = before else { return Some(step) };
     let place = step.inputs.iter().position(|input| *input == before.output);
     let (Some(place), 1) = (place, readers[before.output]) else { return Some(step) };
-    let current = match &mut before.op {
-        Op::Convolution(convolution) => &mut convolution.activation,
-        Op::Depthwise(depthwise) => &mut depthwise.activation,
-        Op::Add(activation) => activation,
-        _ => return Some(step),
+    let linear = match &before.op {
+        Op::Convolution(convolution) => convolution.is_linear(),
+        Op::Depthwise(depthwise) => depthwise.activation == Activation::Linear,
+        Op::Add(activation) => *activation == Activation::Linear,
+        _ => false,
     };
-    if *current != Activation::Linear {
+    if !linear {
         return Some(step);
     }
-    match &mut step.op {
-        Op::Prelu(prelu) => {
-            *current = std::mem::replace(prelu, Activation::Linear);
-            before.output = step.output;
-            None
+    match (&mut before.op, &mut step.op) {
+        (Op::Convolution(convolution), Op::Prelu(prelu)) => convolution.activate(prelu),
+        (Op::Depthwise(Depthwise { activation, .. }) | Op::Add(activation), Op::Prelu(prelu)) => {
+            std::mem::swap(activation, prelu);
         }
-        Op::Add(after) if matches!(before.op, Op::Convolution(_)) && before.inputs.len() == 1 => {
-            if let Op::Convolution(convolution) = &mut before.op {
-                convolution.activation = std::mem::replace(after, Activation::Linear);
-            }
+        (Op::Convolution(convolution), Op::Add(after)) if before.inputs.len() == 1 => {
+            convolution.activate(after);
             before.inputs.push(step.inputs[1 - place]);
-            before.output = step.output;
-            None
         }
-        _ => Some(step),
+        _ => return Some(step),
     }
+    before.output = step.output;
+    None
 }
