@@ -75,8 +75,6 @@ pub struct Contacts {
     /// Sum of the forces that the surroundings exert on arm, palm and fingers, N in `base_link`. The
     /// squeeze of a grasp cancels in it.
     pub robot_force: Vector3<f64>,
-    /// A finger touches the table.
-    pub finger_on_table: bool,
 }
 
 impl Contacts {
@@ -84,9 +82,7 @@ impl Contacts {
         let substeps = physics.integration_parameters.num_solver_iterations as f64;
         let mut out = Self { objects: vec![ObjectContacts::default(); objects], ..Self::default() };
         for pair in physics.narrow_phase.contact_pairs() {
-            let tag = |h| {
-                physics.colliders.get(h).and_then(|c| Tag::from_user_data(c.user_data))
-            };
+            let tag = |h| physics.colliders.get(h).and_then(|c| Tag::from_user_data(c.user_data));
             let (Some(a), Some(b)) = (tag(pair.collider1), tag(pair.collider2)) else { continue };
             // Friction counts too, else an object lying in the fingers would weigh nothing.
             let mut on_second = Vector3::zeros();
@@ -119,20 +115,15 @@ impl Contacts {
     }
 
     fn note(&mut self, who: Tag, other: Tag) {
-        match who {
-            Tag::Object(i) => {
-                let Some(o) = self.objects.get_mut(i as usize) else { return };
-                match other {
-                    Tag::Table => o.table = true,
-                    Tag::Floor => o.floor = true,
-                    Tag::Arm => o.arm = true,
-                    Tag::FingerA => o.fingers[0] = true,
-                    Tag::FingerB => o.fingers[1] = true,
-                    Tag::Object(_) => {}
-                }
-            }
-            Tag::FingerA | Tag::FingerB if other == Tag::Table => self.finger_on_table = true,
-            _ => {}
+        let Tag::Object(i) = who else { return };
+        let Some(o) = self.objects.get_mut(i as usize) else { return };
+        match other {
+            Tag::Table => o.table = true,
+            Tag::Floor => o.floor = true,
+            Tag::Arm => o.arm = true,
+            Tag::FingerA => o.fingers[0] = true,
+            Tag::FingerB => o.fingers[1] = true,
+            Tag::Object(_) => {}
         }
     }
 }

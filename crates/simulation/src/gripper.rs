@@ -4,8 +4,8 @@
 //! The real fingers swing on a parallelogram, which moves the pads 13.5 mm along the approach axis
 //! between open and closed; here they slide straight, so the tool centre point stays put.
 
-use tdv_robot::gripper as maps;
 pub use tdv_robot::TCP_OFFSET;
+use tdv_robot::gripper as maps;
 pub use tdv_ur_protocol::gripper::ObjectStatus;
 
 /// Gap between the pads when fully open, m.
@@ -158,7 +158,8 @@ impl Gripper {
 
     /// Writes the registers; they take effect with the next step.
     pub fn set_request(&mut self, request: GripperRequest) {
-        let moved = (request.position, request.go_to) != (self.request.position, self.request.go_to);
+        let moved =
+            (request.position, request.go_to) != (self.request.position, self.request.go_to);
         if request.activate != self.request.activate || moved {
             self.since_request = 0.0;
             self.still = 0.0;
@@ -282,7 +283,9 @@ mod tests {
         for c in 3..=230 {
             assert_eq!(count_of_gap(gap_of_count(c)), c);
         }
-        assert!((force_of_count(0) - 20.0).abs() < 1e-9 && (force_of_count(255) - 235.0).abs() < 1e-9);
+        assert!(
+            (force_of_count(0) - 20.0).abs() < 1e-9 && (force_of_count(255) - 235.0).abs() < 1e-9
+        );
     }
 
     #[test]

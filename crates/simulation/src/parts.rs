@@ -38,6 +38,19 @@ impl Part {
         }
     }
 
+    /// Lowest z of the part in its object's frame, m.
+    pub fn lowest(&self) -> f64 {
+        let axes = self.pose.rotation.to_rotation_matrix();
+        let down = axes.matrix().row(2).into_owned();
+        let reach = match self.solid {
+            Solid::Cuboid(h) => (0..3).map(|k| (down[k] * h[k]).abs()).sum(),
+            Solid::Cylinder { radius, height } => {
+                down[0].hypot(down[1]) * radius + 0.5 * height * down[2].abs()
+            }
+        };
+        self.pose.translation.z - reach
+    }
+
     /// Collider of this part, without mass, placed in its object's frame.
     pub(crate) fn collider(&self) -> ColliderBuilder {
         let (shape, pose) = match self.solid {
@@ -66,26 +79,19 @@ impl From<&CollisionPart> for Part {
     }
 }
 
-/// A hollow cylinder along z standing on z = `bottom`, as `count` flat staves whose outer faces touch
-/// the outer radius. Metres.
-pub fn staves(
-    outer_radius: f64,
-    wall: f64,
-    bottom: f64,
-    top: f64,
-    count: usize,
-) -> impl Iterator<Item = Part> {
-    let step = std::f64::consts::TAU / count as f64;
-    (0..count).map(move |i| {
-        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), step * (i as f64 + 0.5));
-        let at = turn * Vector3::new(outer_radius - 0.5 * wall, 0.0, 0.5 * (top + bottom));
-        Part {
-            solid: Solid::Cuboid([
-                0.5 * wall,
-                outer_radius * (0.5 * step).tan(),
-                0.5 * (top - bottom),
-            ]),
-            pose: Pose::from_parts(Translation3::from(at), turn),
-        }
-    })
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tdv_geometry::pose_from_xyz_rpy;
+
+    #[test]
+    fn lowest_point_of_turned_parts() {
+        let quarter = std::f64::consts::FRAC_PI_2;
+        let lying = pose_from_xyz_rpy([0.0, 0.0, 0.1], [quarter, 0.0, 0.3]);
+        let solid = Solid::Cylinder { radius: 0.02, height: 0.2 };
+        assert!((Part { solid, pose: lying }.lowest() - 0.08).abs() < 1e-9);
+        let tilted = pose_from_xyz_rpy([0.0; 3], [0.5 * quarter, 0.0, 0.0]);
+        let solid = Solid::Cuboid([0.5, 0.01, 0.01]);
+        assert!((Part { solid, pose: tilted }.lowest() + 0.02_f64.sqrt() * 0.1).abs() < 1e-9);
+    }
 }

@@ -148,8 +148,7 @@ impl Judge {
 
     /// The target of the moving object, `T_base_link_object`, for a reference at `reference`.
     pub fn target(&self, reference: &Pose) -> Pose {
-        let yaw =
-            if about_z(&self.reference_symmetry) { 0.0 } else { yaw_of(&reference.rotation) };
+        let yaw = if about_z(&self.reference_symmetry) { 0.0 } else { yaw_of(&reference.rotation) };
         let frame = Pose::from_parts(reference.translation, upright(yaw));
         let at = Translation3::new(self.goal.offset[0], self.goal.offset[1], 0.0);
         frame * Pose::from_parts(at, upright(self.goal.yaw))
@@ -287,7 +286,9 @@ mod tests {
     fn each_clause_fails_by_itself() {
         let cases: [(&str, fn(f64, &mut [Observed; 2])); 6] = [
             ("mm from", |_, o| o[0].pose.translation.x += 0.012),
-            ("tilted", |_, o| o[0].pose.rotation *= UnitQuaternion::from_euler_angles(0.2, 0.0, 0.0)),
+            ("tilted", |_, o| {
+                o[0].pose.rotation *= UnitQuaternion::from_euler_angles(0.2, 0.0, 0.0)
+            }),
             ("turned", |_, o| o[0].pose.rotation *= upright(0.3)),
             ("touched", |_, o| o[0].touched = true),
             ("not at rest", |_, o| o[0].speed.0 = 0.02),

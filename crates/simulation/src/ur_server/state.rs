@@ -121,8 +121,7 @@ impl Snapshot {
     pub(crate) fn of(lab: &Lab) -> Self {
         let c = lab.controller();
         // RTDE gives forces in the controller's base, which is base_link turned by pi about z.
-        let f: Vector3<f64> =
-            crate::arm::base_link_to_base().rotation.inverse() * lab.tool_force();
+        let f: Vector3<f64> = crate::arm::base_link_to_base().rotation.inverse() * lab.tool_force();
         Self {
             timestamp: c.time(),
             q: *c.q(),

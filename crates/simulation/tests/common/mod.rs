@@ -1,11 +1,13 @@
 //! Helpers of the physics tests: a mug, a coaster, and a hand-written tool motion.
 #![allow(dead_code)]
 
+use std::path::Path;
 use tdv_geometry::nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
 use tdv_geometry::{Pose, pose_from_xyz_rpy, smooth_step};
+use tdv_rendering::ObjectFile;
 use tdv_simulation::arm::link_frames;
 use tdv_simulation::gripper::{FingerDrive, STROKE, TCP_OFFSET};
-use tdv_simulation::parts::{Part, Solid, staves};
+use tdv_simulation::parts::Part;
 use tdv_simulation::world::{Body, DT, World, WorldConfig};
 
 pub const HOME_GUESS: [f64; 6] = [0.0, -1.9, 2.0, -1.67, -1.57, 0.0];
@@ -47,27 +49,25 @@ pub fn solve(tcp: &Pose, seed: &[f64; 6]) -> [f64; 6] {
     q
 }
 
-pub fn mug(pose: Pose) -> Body {
-    let mut parts: Vec<Part> = staves(0.032, 0.003, 0.004, 0.090, 24).collect();
-    parts.push(Part {
-        solid: Solid::Cylinder { radius: 0.032, height: 0.005 },
-        pose: Pose::translation(0.0, 0.0, 0.0025),
-    });
-    for (x, z, hx, hz) in [(0.046, 0.072, 0.016, 0.006), (0.046, 0.026, 0.016, 0.006), (0.060, 0.049, 0.006, 0.029)] {
-        parts.push(Part {
-            solid: Solid::Cuboid([hx, 0.006, hz]),
-            pose: Pose::translation(x, 0.0, z),
-        });
+/// An object of the catalogue.
+pub fn object(name: &str, pose: Pose) -> Body {
+    let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/objects").join(name);
+    let file = ObjectFile::load(&dir).unwrap();
+    Body {
+        name: name.into(),
+        mass: file.mass,
+        friction: file.friction,
+        parts: file.collision.iter().map(Part::from).collect(),
+        pose,
     }
-    Body { name: "mug".into(), mass: 0.25, friction: 0.4, parts, pose }
+}
+
+pub fn mug(pose: Pose) -> Body {
+    object("mug", pose)
 }
 
 pub fn coaster(pose: Pose) -> Body {
-    let parts = vec![Part {
-        solid: Solid::Cylinder { radius: 0.05, height: 0.008 },
-        pose: Pose::translation(0.0, 0.0, 0.004),
-    }];
-    Body { name: "coaster".into(), mass: 0.12, friction: 0.6, parts, pose }
+    object("coaster", pose)
 }
 
 /// A world and the joint angles its arm was last sent to.
@@ -91,8 +91,7 @@ impl Rig {
         self.world.step(&self.q);
         if let Some((object, grip)) = self.watch {
             let now = self.tcp.inverse() * self.world.object_pose(object);
-            self.slip =
-                self.slip.max((now.translation.vector - grip.translation.vector).norm());
+            self.slip = self.slip.max((now.translation.vector - grip.translation.vector).norm());
         }
     }
 
