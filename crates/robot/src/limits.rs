@@ -38,7 +38,8 @@ pub struct Limits {
     pub fingertip_clearance: f64,
     /// What palm, wrist and forearm keep above the table (m).
     pub link_clearance: f64,
-    /// Every trajectory is at rest this long after it was sent (s).
+    /// Every trajectory is at rest this long after it was sent (s); a little under 0.2, so that a stale
+    /// plan (150 ms) and this and the way to the driver are within 350 ms together.
     pub rest_within: f64,
 }
 
@@ -49,7 +50,7 @@ impl Default for Limits {
             joint_upper: [TAU, TAU, PI, TAU, TAU, TAU],
             joint_velocity: 1.0,
             joint_acceleration: 8.0,
-            stop_acceleration: 12.0,
+            stop_acceleration: 14.0,
             joint_jerk: 400.0,
             tcp_speed: 0.25,
             tcp_angular_speed: 1.0,
@@ -59,7 +60,7 @@ impl Default for Limits {
             table_z: 0.0,
             fingertip_clearance: 0.004,
             link_clearance: 0.02,
-            rest_within: 0.2,
+            rest_within: 0.18,
         }
     }
 }

@@ -12,8 +12,9 @@ fn lab() -> ControllerParams {
 
 fn report(name: &str, b: &Bench, seconds: f64) {
     println!(
-        "{name}: {seconds:.1} s, {} trajectories, max {:.2} rad/s {:.1} rad/s2, tcp {:.3} m/s, \
+        "{name}: {seconds:.1} s, ends {:.1?} mm, {} trajectories, max {:.2} rad/s {:.1} rad/s2, tcp {:.3} m/s, \
          off path {:.1} mm, longest stall {:.2} s",
+        b.log.ends.iter().map(|e| e.0 * 1e3).collect::<Vec<_>>(),
         b.log.paths,
         b.log.max_qd,
         b.log.max_qdd,
@@ -48,6 +49,7 @@ fn the_task_is_carried_out_at_any_lag_and_latency() {
             b.latency = latency;
         });
         assert!(b.log.max_off < 0.012, "{}", b.log.max_off);
+        assert!(b.log.ends.iter().all(|e| e.0 < 0.001 && e.1 < 0.01), "{:?}", b.log.ends);
         let order = [S::Following, S::Grasping, S::AwaitingAttach, S::Following, S::Releasing];
         let mut codes = b.log.codes.iter();
         for want in order.iter().chain(&[S::Retreating, S::Done]) {
@@ -61,6 +63,7 @@ fn the_task_is_carried_out_at_any_lag_and_latency() {
 #[test]
 fn noise_and_a_policy_that_pulls_back_to_the_path() {
     whole_task("noise 2 mm", |b| b.noise = 0.002);
+    whole_task("stamped trajectories", |b| b.stamped = true);
     whole_task("pull 0.2 s", |b| b.pull = 0.2);
     whole_task("noise 2 mm, pull 0.5 s", |b| {
         b.noise = 0.002;

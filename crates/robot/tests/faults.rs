@@ -3,7 +3,9 @@
 mod bench;
 
 use bench::*;
-use tdv_geometry::{Pose, pose_distance};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use tdv_geometry::pose_distance;
 use tdv_robot::collision::fingertip_height;
 use tdv_robot::motion::{Plan, Requests, StatusCode as S};
 use tdv_robot::{ArmController, ControllerParams};
@@ -52,11 +54,8 @@ fn nothing_moves_before_joint_states_and_before_resume() {
     let out = c.step(b.now, &b.input);
     assert_eq!(out.status.code, S::WaitingForJoints);
     let mut nan = b.input.clone();
-    nan.joints = Some(tdv_robot::motion::JointState {
-        stamp: b.now,
-        q: [f64::NAN; 6],
-        qd: [0.0; 6],
-    });
+    nan.joints =
+        Some(tdv_robot::motion::JointState { stamp: b.now, q: [f64::NAN; 6], qd: [0.0; 6] });
     let out = c.step(b.now, &nan);
     assert!(out.trajectory.is_none() && out.status.sentence.contains("NaN"), "{:?}", out.status);
     let mut b = Bench::new(ControllerParams::default());
@@ -86,9 +85,8 @@ fn stale_observations_stop_the_arm_within_350_ms_until_resume() {
         let mut b = strict();
         b.run(1.2 + 0.171 * f64::from(n));
         b.perceive = false;
-        let last = b.now;
         until_rest(&mut b);
-        worst = worst.max(b.now.since(last));
+        worst = worst.max(b.now.since(b.last_frame));
         b.run(0.3);
         assert_eq!(b.last_code(), S::HoldStale);
         assert!(b.last_sentence().contains("ms old"), "{}", b.last_sentence());
@@ -99,7 +97,7 @@ fn stale_observations_stop_the_arm_within_350_ms_until_resume() {
         assert_eq!(b.last_code(), S::Done, "{:?} {}", b.log.codes, b.last_sentence());
     }
     println!("at rest {worst:.3} s after the last frame at the latest");
-    assert!(worst <= 0.350 + TICK, "{worst}");
+    assert!(worst <= 0.350, "{worst}");
 }
 
 #[test]
@@ -114,7 +112,7 @@ fn bad_plans_move_nothing() {
         ("it jumps", |p| p.reference_pose.translation.vector.x -= 0.30),
     ];
     for (says, tamper) in cases {
-        let mut b = strict();
+        let mut b = Bench::new(ControllerParams { auto_resume: true, ..Default::default() });
         b.tamper = Some(tamper);
         b.run(1.0);
         assert_eq!(b.log.paths, 0, "{says}");
@@ -154,11 +152,12 @@ fn nothing_goes_through_the_table() {
 #[test]
 fn a_plan_a_little_too_low_slides_along_the_table() {
     let mut b = lab();
-    b.attach = Pose::identity();
     let low = b.references[0].inverse() * down(0.58, 0.18, 0.012, 0.6);
     let start = b.policies[0].path[0];
     b.policies[0].path = path(start, low, 0.0);
-    b.run(8.0);
+    for _ in 0..1000 {
+        b.tick();
+    }
     assert_eq!(b.last_code(), S::Following, "{}", b.last_sentence());
     let d = b.executor.sample(b.now).unwrap();
     let height = fingertip_height(&b.k.fk(&d.q), 0.7929);
@@ -198,7 +197,7 @@ fn a_failed_grip_is_tried_again() {
         }
     }
     assert!(recovered.unwrap() - low > 0.09, "backed off 0.1 m before starting over");
-    assert!(b.log.sentences.iter().any(|s| s.contains("grip failed: the fingers closed to 1.")));
+    assert!(b.log.sentences.iter().any(|s| s.contains("grip failed: the fingers closed to ")));
     b.run(30.0);
     assert_eq!(b.last_code(), S::Done, "{:?}", b.log.codes);
 }
@@ -209,7 +208,7 @@ fn a_lost_object_is_noticed() {
     b.run(7.0);
     assert_eq!((b.last_code(), b.procedure), (S::Following, 1), "{}", b.last_sentence());
     b.object = None;
-    b.run(0.5);
+    b.run(0.8);
     assert_eq!(b.last_code(), S::Recovering);
     assert!(b.last_sentence().contains("object lost"), "{}", b.last_sentence());
     b.object = Some(0.064);
@@ -249,6 +248,7 @@ fn pause_resume_abort_reset_and_enable() {
 fn missing_joint_states_and_an_arm_that_does_not_follow() {
     let mut b = strict();
     b.run(1.5);
+    b.guard = None;
     b.lag = 1e9; // a protective stop: targets go out, nothing moves
     b.run(2.0);
     assert_eq!(b.last_code(), S::HoldJoints);
@@ -265,6 +265,7 @@ fn missing_joint_states_and_an_arm_that_does_not_follow() {
     for _ in 0..60 {
         b.now = b.now.plus(TICK);
         b.input.joints = frozen;
+        b.input.plan.as_mut().unwrap().stamp = b.now;
         let out = b.controller.step(b.now, &b.input);
         if out.status.code == S::HoldJoints {
             assert!(out.status.sentence.contains("driver"), "{}", out.status.sentence);
@@ -301,8 +302,9 @@ fn a_gripper_that_does_not_open_is_named() {
         b.tick();
         b.knuckle = before.max(b.knuckle); // stuck
     }
-    assert_eq!(b.last_code(), S::HoldGripper);
-    assert!(b.last_sentence().contains("knuckle at 0.2"), "{}", b.last_sentence());
+    assert!(b.log.codes.contains(&S::HoldGripper), "{:?}", b.log.codes);
+    let said = |s: &String| s.contains("gripper not open") && s.contains("knuckle at 0.");
+    assert!(b.log.sentences.iter().any(said), "{:?}", b.log.sentences);
 }
 
 #[test]
@@ -311,7 +313,7 @@ fn home_and_speed_scaling() {
     b.perceive = false;
     b.run(0.5);
     b.input.requests.home = true;
-    b.run(6.0);
+    b.run(15.0);
     assert!(b.log.codes.contains(&S::Homing));
     let home = b.controller.params().home;
     assert!((0..6).all(|i| (b.q[i] - home[i]).abs() < 0.005), "{:?}", b.q);
@@ -321,4 +323,55 @@ fn home_and_speed_scaling() {
     b.input.speed_scaling = f64::NAN;
     b.run(0.2);
     assert_eq!(b.last_code(), S::Disabled);
+}
+
+/// Whatever comes in, in whatever order: no panic, and nothing but sound trajectories that go on from
+/// the one before.
+#[test]
+fn chaos() {
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    for _ in 0..6 {
+        let mut b = lab();
+        for n in 0..4000 {
+            b.tamper = match rng.random_range(0..40) {
+                0 => Some(|p| p.poses.truncate(1)),
+                1 => Some(|p| p.poses[9].translation.vector.z = f64::NAN),
+                2 => Some(|p| p.reference_pose.translation.vector.x += 0.15),
+                3 => Some(|p| p.reference_pose.translation.vector.z -= 0.1),
+                4 => Some(|p| p.moving_pose = None),
+                5 => Some(|p| p.stamp = p.stamp.plus(0.5)),
+                6 => Some(|p| p.dt = 1e-9),
+                7 => Some(|p| p.poses.reverse()),
+                8 => Some(|p| p.procedure += 1),
+                _ => None,
+            };
+            let r = rng.random_range(0..2000);
+            b.input.requests = Requests {
+                pause: r == 0,
+                resume: r % 50 == 1,
+                reset: r == 2,
+                home: r == 3,
+                abort: r == 4,
+            };
+            b.input.enable = n % 700 != 0;
+            b.perceive = rng.random_range(0..100) != 0;
+            if r == 5 {
+                b.object = None;
+            } else if r == 6 {
+                b.object = Some(0.05);
+            } else if r < 12 {
+                b.procedure = rng.random_range(0..3);
+            } else if r < 14 {
+                b.complete = !b.complete;
+            }
+            let before = b.controller.commanded();
+            let out = b.tick().unwrap();
+            if let (Some(path), Some((q, _))) = (out.trajectory, before) {
+                let first = path.points[0];
+                let most = (0..6).map(|i| (first.q[i] - q[i]).abs()).fold(0.0, f64::max);
+                assert!(most <= 1.0 * (first.time + TICK) + 0.02, "{most} rad in {} s", first.time);
+            }
+        }
+        assert!(b.log.paths > 100, "{} {:?}", b.log.paths, b.log.codes);
+    }
 }

@@ -114,12 +114,7 @@ fn reachable_q6(dh: &DhTable, target: &Pose, [q1, q5, q6]: [f64; 3]) -> Option<f
 }
 
 /// Joints 2, 3, 4 for given joints 1, 5, 6; false when wrist 1 is out of reach.
-fn planar(
-    dh: &DhTable,
-    target: &Pose,
-    [q1, q5, q6]: [f64; 3],
-    out: &mut IkSolutions,
-) -> bool {
+fn planar(dh: &DhTable, target: &Pose, [q1, q5, q6]: [f64; 3], out: &mut IkSolutions) -> bool {
     let t14 = wrist(dh, target, [q1, q5, q6]);
     let (x, y) = (t14.translation.x, t14.translation.y);
     let mut c3 = (x * x + y * y - dh.a2 * dh.a2 - dh.a3 * dh.a3) / (2.0 * dh.a2 * dh.a3);

@@ -17,6 +17,10 @@ use tdv_geometry::{Pose, Stamp};
 const LEAST_HOLD: f64 = 0.25;
 /// A speed scaling below this counts as a stopped robot.
 const STOPPED: f64 = 0.01;
+/// A measured joint slower than this stands still (rad/s).
+const STILL: f64 = 0.01;
+/// How long an arm may stand still away from its command (s).
+const STUCK_AFTER: f64 = 0.5;
 
 /// The arm controller; call [`ArmController::step`] at the period `tick`.
 ///
@@ -43,6 +47,7 @@ pub struct ArmController {
     held_since: Stamp,
     commanded: Option<Commanded>,
     refused: Option<(Stamp, String)>,
+    stuck_since: Option<Stamp>,
     ticks: u64,
     last: Option<Stamp>,
 }
@@ -92,6 +97,7 @@ impl ArmController {
             held_since: Stamp::default(),
             commanded: None,
             refused: None,
+            stuck_since: None,
             ticks: 0,
             last: None,
         })
@@ -228,24 +234,17 @@ impl ArmController {
         if ready {
             return;
         }
+        if input.enable && scaling >= STOPPED {
+            self.enabled_again();
+        }
         if !input.enable {
             self.hold(now, Cause::Disabled, "not enabled: driver, safety or operator".into());
         } else if scaling < STOPPED {
             let text = format!("speed scaling is {scaling:.2}: the robot is stopped or paused");
             self.hold(now, Cause::Disabled, text);
         } else if let Some(j) = joints {
-            if let Some(c) = self.commanded_state() {
-                let error = |i: usize| (c.q[i] - j.q[i]).abs();
-                let worst = (0..6).max_by(|a, b| error(*a).total_cmp(&error(*b))).unwrap_or(0);
-                if error(worst) > self.params.max_following_error && self.hold.is_none() {
-                    let text = format!(
-                        "{} is {:.3} rad from its command, {:.3} is allowed: the arm does not follow",
-                        JOINT_NAMES[worst],
-                        error(worst),
-                        self.params.max_following_error
-                    );
-                    self.hold(now, Cause::Joints, text);
-                }
+            if self.hold.is_none() {
+                self.watch_following(now, j);
             }
         } else if self.hold.as_ref().is_none_or(|h| h.cause == Cause::Joints) {
             let text = match &input.joints {
@@ -261,6 +260,39 @@ impl ArmController {
             } else if let Some(h) = &mut self.hold {
                 h.sentence = text;
             }
+        }
+    }
+
+    /// What is said of a hold whose cause is gone.
+    fn enabled_again(&mut self) {
+        if let Some(h) = self.hold.as_mut().filter(|h| h.cause == Cause::Disabled) {
+            h.sentence = "enabled again after a stop".into();
+        }
+    }
+
+    /// Holds when the arm is too far from its command, or stands still a little way from it.
+    fn watch_following(&mut self, now: Stamp, j: &JointState) {
+        let Some(c) = self.commanded_state() else { return };
+        let error = |i: usize| (c.q[i] - j.q[i]).abs();
+        let worst = (0..6).max_by(|a, b| error(*a).total_cmp(&error(*b))).unwrap_or(0);
+        let (apart, name) = (error(worst), JOINT_NAMES[worst]);
+        let still = law::max_abs(&j.qd) < STILL && apart > 2.0 * self.params.reseed_threshold;
+        let since = if still { *self.stuck_since.get_or_insert(now) } else { now };
+        if !still {
+            self.stuck_since = None;
+        }
+        let allowed = self.params.max_following_error;
+        if apart > allowed {
+            let text = format!(
+                "{name} is {apart:.3} rad from its command, {allowed:.3} is allowed: the arm does not follow"
+            );
+            self.hold(now, Cause::Joints, text);
+        } else if now.since(since) > STUCK_AFTER {
+            self.stuck_since = None;
+            let text = format!(
+                "{name} stands still {apart:.3} rad from its command: the arm does not follow"
+            );
+            self.hold(now, Cause::Joints, text);
         }
     }
 

@@ -1,4 +1,5 @@
-use crate::kinematics::Joints;
+use crate::executor::{JointTrajectory, TrajectoryPoint};
+use crate::kinematics::{JOINT_NAMES, Joints};
 use tdv_geometry::{Pose, Stamp};
 
 /// What a plan moves.
@@ -140,6 +141,24 @@ pub struct JointPath {
     pub stamp: Stamp,
     /// Times strictly increase; the last velocity is zero.
     pub points: Vec<PathPoint>,
+}
+
+impl JointPath {
+    /// As the message that goes to a driver. `stamped` puts the path's stamp into the header, for a
+    /// driver that shares the controller's clock; without it the driver starts on arrival.
+    pub fn to_trajectory(&self, stamped: bool) -> JointTrajectory {
+        let point = |p: &PathPoint| TrajectoryPoint {
+            positions: p.q.to_vec(),
+            velocities: p.qd.to_vec(),
+            time_from_start: p.time,
+            ..TrajectoryPoint::default()
+        };
+        JointTrajectory {
+            names: JOINT_NAMES.map(String::from).to_vec(),
+            stamp: stamped.then_some(self.stamp),
+            points: self.points.iter().map(point).collect(),
+        }
+    }
 }
 
 /// A command for the gripper action.

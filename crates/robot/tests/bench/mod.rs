@@ -6,7 +6,9 @@
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
-use tdv_geometry::{Pose, Stamp, interpolate, pose_from_xyz_rpy, smooth_step, twist_arc};
+use tdv_geometry::{
+    Pose, Stamp, interpolate, pose_distance, pose_from_xyz_rpy, smooth_step, twist_arc,
+};
 use tdv_robot::gripper::{gap_from_knuckle, knuckle_from_gap};
 use tdv_robot::motion::*;
 use tdv_robot::*;
@@ -87,6 +89,8 @@ pub struct Log {
     pub max_off: f64,
     /// Longest time (s) that the tool stood still while it was following.
     pub longest_stall: f64,
+    /// Distance from the end of each procedure when the switch fired (m, rad).
+    pub ends: Vec<(f64, f64)>,
 }
 
 pub struct Bench {
@@ -113,12 +117,16 @@ pub struct Bench {
     pub knuckle: f64,
     pub perceive: bool,
     pub alive: bool,
+    /// Whether the driver is told the trajectories' start, or starts on arrival.
+    pub stamped: bool,
+    pub guard: Option<TargetGuard>,
     /// Changes a plan before it goes out.
     pub tamper: Option<fn(&mut Plan)>,
     command: Option<GripperRequest>,
     queue: VecDeque<(Stamp, Plan)>,
     in_flight: Option<JointPath>,
     next_frame: Stamp,
+    pub last_frame: Stamp,
     last_qd: Joints,
     still: f64,
     rng: ChaCha8Rng,
@@ -162,11 +170,14 @@ impl Bench {
             knuckle: 0.0,
             perceive: true,
             alive: true,
+            stamped: false,
+            guard: Some(TargetGuard::new(&Limits::default())),
             tamper: None,
             command: None,
             queue: VecDeque::new(),
             in_flight: None,
             next_frame: now,
+            last_frame: now,
             last_qd: [0.0; 6],
             still: 0.0,
             rng: ChaCha8Rng::seed_from_u64(7),
@@ -213,27 +224,15 @@ impl Bench {
     pub fn tick(&mut self) -> Option<ControllerOutput> {
         self.now = self.now.plus(TICK);
         if let Some(p) = self.in_flight.take() {
-            // One tick of transport; the stamp is not used, as with a driver that starts on arrival.
-            let trajectory = JointTrajectory {
-                names: JOINT_NAMES.map(String::from).to_vec(),
-                stamp: None,
-                points: p
-                    .points
-                    .iter()
-                    .map(|x| TrajectoryPoint {
-                        positions: x.q.to_vec(),
-                        velocities: x.qd.to_vec(),
-                        time_from_start: x.time,
-                        ..Default::default()
-                    })
-                    .collect(),
-            };
+            // One tick of transport.
+            let trajectory = p.to_trajectory(self.stamped);
             let current = Desired { q: self.q, qd: [0.0; 6] };
             self.executor.accept(&trajectory, self.now, &current).unwrap();
         }
         self.plant();
         if self.perceive && self.now >= self.next_frame {
             self.next_frame = self.now.plus(1.0 / 30.0);
+            self.last_frame = self.now;
             self.observe();
         }
         while self.queue.front().is_some_and(|(due, _)| *due <= self.now) {
@@ -257,16 +256,17 @@ impl Bench {
             self.complete = false;
             self.policies[0].phase = 0.0;
         }
-        self.input.attach = out
-            .status
-            .object_held
-            .then_some(Attach { stamp: self.now, pose: self.attach });
+        self.input.attach =
+            out.status.object_held.then_some(Attach { stamp: self.now, pose: self.attach });
         self.in_flight.clone_from(&out.trajectory);
         Some(out)
     }
 
     fn plant(&mut self) {
         let Some(target) = self.executor.sample(self.now) else { return };
+        if let Some(g) = &mut self.guard {
+            g.check(self.now, &target.q, &self.q).unwrap();
+        }
         for i in 0..6 {
             let accel = (target.qd[i] - self.last_qd[i]).abs() / TICK;
             self.log.max_qdd = self.log.max_qdd.max(accel);
@@ -280,8 +280,12 @@ impl Bench {
     }
 
     fn gripper(&mut self) {
-        let mut feedback =
-            GripperFeedback { command: None, knuckle: self.knuckle, stalled: false, reached: false };
+        let mut feedback = GripperFeedback {
+            command: None,
+            knuckle: self.knuckle,
+            stalled: false,
+            reached: false,
+        };
         if let Some(c) = self.command {
             let stop = self.object.map_or(f64::INFINITY, knuckle_from_gap);
             let step = (c.position - self.knuckle).clamp(-1.5 * TICK, 1.5 * TICK);
@@ -339,6 +343,8 @@ impl Bench {
             still = if ended && out.status.code == StatusCode::Following { still + 1 } else { 0 };
             if still > 40 {
                 still = 0;
+                let end = *self.policies[self.index()].path.last().unwrap();
+                self.log.ends.push(pose_distance(&self.relative(), &end));
                 if self.procedure == 0 { self.procedure = 1 } else { self.complete = true }
             }
             if out.status.done {
