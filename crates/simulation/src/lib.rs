@@ -4,6 +4,7 @@
 //! [`lab::Lab`] ties it together; [`ur_server::UrServer`] puts its controller on the network.
 
 pub mod arm;
+pub mod avatar;
 pub mod backdrop;
 pub mod contacts;
 pub mod controller;
@@ -13,6 +14,7 @@ pub mod gripper;
 pub mod lab;
 pub mod pacing;
 pub mod parts;
+pub mod record;
 pub mod scene;
 pub mod sensor;
 pub mod trial;
