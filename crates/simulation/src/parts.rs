@@ -3,7 +3,7 @@
 use crate::units;
 use rapier3d::prelude::{ColliderBuilder, SharedShape};
 use tdv_geometry::Pose;
-use tdv_geometry::nalgebra::{Translation3, UnitQuaternion, Vector3};
+use tdv_geometry::nalgebra::{UnitQuaternion, Vector3};
 use tdv_rendering::{CollisionPart, PartShape};
 
 /// A convex solid, centred on its own origin. Lengths in metres.

@@ -113,7 +113,10 @@ fn a_grasp_3_cm_off_fails_to_lift() {
 
 #[test]
 fn other_objects_are_lifted_too() {
-    for (name, above, width) in [("bottle", 0.135, 0.0624), ("cube", 0.0, 0.085)] {
+    // The bottle hangs by its shoulders, 13 cm above its origin: two degrees of swing are 5 mm there.
+    for (name, above, width, slip) in
+        [("bottle", 0.135, 0.0624, 0.008), ("cube", 0.0, 0.085, 0.002)]
+    {
         let lowest = if name == "cube" { 0.0425 } else { 0.0 };
         let start = Pose::translation(0.5, 0.0, lowest) * at(0.0, 0.0, 0.0);
         let mut rig = Rig::new(&[object(name, start)], down(0.5, 0.0, 0.30, 0.0));
@@ -127,7 +130,7 @@ fn other_objects_are_lifted_too() {
         let rise = rig.world.object_pose(0).translation.z - lowest;
         println!("{name}: rise {rise:.4}, slip {:.5}, gap {gap:.4}", rig.slip);
         assert!((rise - (0.30 - lowest - above)).abs() < 0.003, "{name}");
-        assert!(rig.slip < 0.002 && (gap - width).abs() < 0.002, "{name}");
+        assert!(rig.slip < slip && (gap - width).abs() < 0.002, "{name}");
     }
 }
 
