@@ -50,7 +50,7 @@ impl Default for WorldConfig {
             table: [[-0.35, -0.75], [1.15, 0.75]],
             table_friction: 0.5,
             pad_friction: 0.9,
-            substeps: 8,
+            substeps: 4,
         }
     }
 }

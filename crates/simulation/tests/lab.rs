@@ -29,6 +29,9 @@ struct Script {
     tcp: Pose,
     request: GripperRequest,
     ticks: u64,
+    /// Errors that it makes: grasp off by x, y (m) and yaw (rad), set down too high (m; negative: it
+    /// presses).
+    slop: [f64; 4],
 }
 
 impl Script {
@@ -37,7 +40,7 @@ impl Script {
         let q = *lab.joints().0;
         let tcp = arm.fk_tcp(&q);
         let request = GripperRequest { activate: true, ..GripperRequest::default() };
-        let mut s = Self { lab, arm, beat: 0, q, tcp, request, ticks: 0 };
+        let mut s = Self { lab, arm, beat: 0, q, tcp, request, ticks: 0, slop: [0.0; 4] };
         s.lab.set_gripper_request(request);
         while s.lab.gripper_status().activation != Activation::Active {
             s.tick();
@@ -101,7 +104,8 @@ impl Script {
         let yaw = yaw_of(&mug.rotation);
         let m = mug.translation;
         // The fingers close across the handle's plane.
-        let grasp = |z| down(m.x, m.y, z, yaw);
+        let [dx, dy, turn, high] = self.slop;
+        let grasp = |z| down(m.x + dx, m.y + dy, z, yaw + turn);
         if !(self.go(grasp(0.20)) && self.go(grasp(0.058))) {
             return false;
         }
@@ -111,7 +115,7 @@ impl Script {
         between(&mut self.lab);
         let t = coaster.translation;
         let place = |z| down(t.x + goal.offset[0], t.y + goal.offset[1], z, goal.yaw);
-        let there = self.go(grasp(0.20)) && self.go(place(0.20)) && self.go(place(0.067));
+        let there = self.go(grasp(0.20)) && self.go(place(0.20)) && self.go(place(0.067 + high));
         self.fingers(0);
         there && self.go(place(0.20))
     }
@@ -150,6 +154,32 @@ fn scripted_trials_succeed() {
         won += u32::from(v.success);
     }
     assert_eq!(won, 6);
+}
+
+/// What a learned policy does: a grasp off by a centimetre and ten degrees, a mug dropped from 6 mm or
+/// pressed down by 4 mm.
+#[test]
+fn sloppy_but_fair_trials_succeed() {
+    let assets = assets();
+    for (seed, slop) in [
+        (0, [0.004, 0.008, 0.0, 0.006]),
+        (1, [-0.006, -0.006, 0.17, -0.004]),
+        (2, [0.003, -0.010, -0.17, -0.004]),
+        (3, [0.0, 0.0, 0.1, 0.010]),
+    ] {
+        let mut lab = Lab::from_assets(Arc::clone(&assets), seed).unwrap();
+        lab.begin_trial(PlacingGoal::default()).unwrap();
+        let mut s = Script::new(lab);
+        s.slop = slop;
+        let moved = s.pick_and_place(PlacingGoal::default(), |_| {});
+        s.wait(1.5);
+        let (v, i) = (s.lab.trial().clone(), s.lab.incidents());
+        println!("{slop:?}: {moved} {v:?} {i:?}");
+        // Turned or shifted in the grip by what the grasp was off, the mug may miss its target; it
+        // must never be thrown about.
+        assert!(moved && i.protective_stops == 0 && i.table_hits == 0, "{i:?}");
+        assert!(v.tilt_rad < 0.02 && v.error_m < 0.015 && v.released, "{v:?}");
+    }
 }
 
 #[test]
