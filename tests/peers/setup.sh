@@ -73,7 +73,7 @@ make_package() {
   rm -rf "$out"
   mkdir -p "$out"
   cp -r "$source"/. "$out"
-  files=$(cd "$out" && find msg srv action -type f 2>/dev/null | sort | sed 's/.*/  "&"/')
+  files=$(cd "$out" && find . -type f | sort | sed 's#^\./\(.*\)#  "\1"#')
   {
     echo "cmake_minimum_required(VERSION 3.8)"
     echo "project($name)"

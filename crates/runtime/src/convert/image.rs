@@ -53,8 +53,9 @@ pub fn color_from_image(topic: &str, image: &Image) -> Result<RgbImage, ConvertE
         "mono8" | "8UC1" => (1, [0, 0, 0]),
         other => return Err(wrong(topic, other, EXPECTED)),
     };
+    let rows = rows(topic, image, channels)?; // checks the size before anything is reserved
     let mut out = Vec::with_capacity(image.width as usize * image.height as usize * 3);
-    for row in rows(topic, image, channels)? {
+    for row in rows {
         if channels == 3 && order == [0, 1, 2] {
             out.extend_from_slice(row);
         } else {
@@ -74,20 +75,22 @@ pub fn color_from_image(topic: &str, image: &Image) -> Result<RgbImage, ConvertE
 /// [`ConvertError::Encoding`], [`ConvertError::Size`].
 pub fn depth_from_image(topic: &str, image: &Image) -> Result<DepthImage, ConvertError> {
     let big = image.is_bigendian != 0;
-    let pixels = image.width as usize * image.height as usize;
+    let pixels = (image.width as usize).saturating_mul(image.height as usize);
     let depth = match image.encoding.as_str() {
         "16UC1" | "mono16" => {
             let read = if big { u16::from_be_bytes } else { u16::from_le_bytes };
+            let rows = rows(topic, image, 2)?;
             let mut out = Vec::with_capacity(pixels);
-            for row in rows(topic, image, 2)? {
+            for row in rows {
                 out.extend(row.chunks_exact(2).map(|b| read([b[0], b[1]])));
             }
             DepthImage::from_millimetres(image.width, image.height, &out)
         }
         "32FC1" => {
             let read = if big { f32::from_be_bytes } else { f32::from_le_bytes };
+            let rows = rows(topic, image, 4)?;
             let mut out = Vec::with_capacity(pixels);
-            for row in rows(topic, image, 4)? {
+            for row in rows {
                 out.extend(row.chunks_exact(4).map(|b| read([b[0], b[1], b[2], b[3]])));
             }
             DepthImage::from_metres(image.width, image.height, out)

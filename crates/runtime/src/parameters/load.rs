@@ -216,7 +216,7 @@ mod tests {
     #[test]
     fn precedence() {
         let f = file(
-            "/**:\n  ros__parameters:\n    rate: 5\n    names: [x, y]\n\
+            "/**:\n  ros__parameters:\n    rate: 5\n    names: [x, z]\n\
              demo:\n  ros__parameters:\n    use_sim_time: true\n    rate: 10\n    inner:\n      count: 7\n\
              other:\n  ros__parameters:\n    unknown: 1\n",
         );
@@ -225,7 +225,7 @@ mod tests {
             .unwrap_or_else(|e| panic!("{e}"));
         assert!(loaded.use_sim_time);
         assert_eq!(loaded.values.rate, 10.0);
-        assert_eq!(loaded.values.names, ["x", "y"]);
+        assert_eq!(loaded.values.names, ["x", "z"]);
         assert_eq!(loaded.values.inner.count, 7);
         let loaded = load::<Demo>(
             "demo",
