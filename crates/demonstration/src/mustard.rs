@@ -26,7 +26,7 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 use tdv_geometry::nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
-use tdv_geometry::{Pose, Stamp, Symmetry, rotation_from_matrix};
+use tdv_geometry::{Pose, Stamp, Symmetry, pose_from_xyz_rpy, rotation_from_matrix};
 
 /// How the recording is set before the robot.
 #[derive(Debug, Clone, PartialEq)]
@@ -68,8 +68,14 @@ struct Recording {
 /// Largest deviation from orthonormal that counts as rounding.
 const ORTHONORMAL: f64 = 0.02;
 
-/// Reads the recording and turns it into a demonstration of `task` (its moving object is the bottle in
-/// the frame of its YCB mesh, its reference object the disc).
+/// The catalogue's bottle in the frame of the YCB mesh, which lies near the middle of the bottle and is
+/// turned against its oval: middle of the underside (m) ...
+const CATALOGUE_XYZ: [f64; 3] = [-0.0011, -0.0022, -0.0839];
+/// ... and x along the long axis of the oval (rad), both measured on the mesh's vertices.
+const CATALOGUE_YAW: f64 = -0.300;
+
+/// Reads the recording and turns it into a demonstration of `task` (its moving object is the bottle of
+/// the catalogue, its reference object the disc).
 ///
 /// # Errors
 /// [`DemonstrationError::Io`], [`DemonstrationError::Format`] naming the frame, and what
@@ -111,7 +117,8 @@ fn read(raw: &Recording, notes: &mut ParseReport) -> Result<Read, String> {
         worst = worst.max((r.transpose() * r - Matrix3::identity()).abs().max());
         let rotation = rotation_from_matrix(&r, ORTHONORMAL)
             .map_err(|e| format!("T_object_camera_object of frame {i}: {e}"))?;
-        poses.push(Pose::from_parts([m[0][3], m[1][3], m[2][3]].into(), rotation));
+        let mesh = Pose::from_parts([m[0][3], m[1][3], m[2][3]].into(), rotation);
+        poses.push(mesh * pose_from_xyz_rpy(CATALOGUE_XYZ, [0.0, 0.0, CATALOGUE_YAW]));
     }
     let text = "rotation matrices made orthonormal; magnitude is the largest deviation of a column product";
     notes.note(RepairKind::Orthonormalised, "bottle", n, worst, "", text);

@@ -1,32 +1,40 @@
 use crate::arguments::RecordDemoArgs;
 use crate::observe::bar;
+use std::path::Path;
 use tdv_geometry::Stamp;
+use tdv_rendering::ObjectFile;
 use tdv_runtime::camera_bag::{CameraBagWriter, PosesBagWriter};
-use tdv_simulation::record::{Recording, RecordingConfig};
+use tdv_simulation::record::{DemoConfig, DemoObject, Recorder};
 
 /// Time of the first frame of a rendered demonstration: 2026-01-01 12:00 UTC.
 const EPOCH: Stamp = Stamp(1_767_268_800_000_000_000);
 
+/// Where the mug stands: x, y (m), yaw (rad) in base_link.
+const START: [f64; 3] = [0.55, 0.10, 0.262];
+
+fn object(folder: &Path, name: &str) -> anyhow::Result<DemoObject> {
+    let folder = folder.join(name);
+    let mesh = ObjectFile::load(&folder)?.load_mesh(&folder)?;
+    Ok(DemoObject { name: name.to_owned(), mesh })
+}
+
 /// Renders a demonstration into two bags: what a camera sees, and the truth.
 pub fn run(args: &RecordDemoArgs) -> anyhow::Result<()> {
-    let config = RecordingConfig::default();
-    let mut recording = Recording::new(&config, &args.objects, args.seed)?;
+    let mut config = DemoConfig::cup_on_coaster(args.seed, START);
+    config.start = EPOCH;
+    let (intrinsics, camera_pose) = (config.sensor.intrinsics, config.camera);
+    let mut recorder =
+        Recorder::new(config, object(&args.objects, "mug")?, object(&args.objects, "coaster")?)?;
     let name = args.output.file_name().map_or_else(|| "bag".into(), |n| n.to_string_lossy());
     let truth_path = args.output.with_file_name(format!("{name}_truth"));
-    let mut camera = CameraBagWriter::create(
-        &args.output,
-        recording.intrinsics(),
-        recording.t_base_camera(),
-        args.quality,
-    )?;
+    let mut camera = CameraBagWriter::create(&args.output, intrinsics, camera_pose, args.quality)?;
     let mut truth = PosesBagWriter::create(&truth_path)?;
-    let progress = bar(recording.frame_count() as u64, "recording");
-    while let Some(frame) = recording.next_frame() {
-        let stamp = EPOCH.plus(frame.time);
-        camera.frame(stamp, &frame.color, &frame.depth)?;
-        let objects: Vec<_> =
-            frame.objects.iter().map(|(name, pose)| (name.as_str(), *pose)).collect();
-        truth.frame(stamp, &objects, frame.joints.as_ref().map(|j| j.as_slice()))?;
+    let progress = bar(recorder.frames() as u64, "recording");
+    for index in 0..recorder.frames() {
+        let (frame, is) = recorder.frame(index);
+        camera.frame(frame.stamp, &frame.color, &frame.depth)?;
+        let objects: Vec<_> = is.objects.iter().map(|(name, pose)| (name.as_str(), *pose)).collect();
+        truth.frame(is.stamp, &objects, Some(&is.joints))?;
         progress.inc(1);
     }
     progress.finish_and_clear();
