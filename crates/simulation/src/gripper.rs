@@ -19,9 +19,9 @@ pub const PAD_THICKNESS: f64 = 0.007;
 /// Thickness of the finger behind the pad, m.
 pub const FINGER_THICKNESS: f64 = 0.011;
 /// Where the finger begins along the approach axis of `tool0`, m.
-pub const FINGER_ROOT: f64 = 0.088;
+pub const FINGER_ROOT: f64 = 0.078;
 /// Front of the palm along the approach axis of `tool0`, m.
-pub const PALM_FRONT: f64 = 0.092;
+pub const PALM_FRONT: f64 = 0.080;
 /// Radius of the palm, m.
 pub const PALM_RADIUS: f64 = 0.0375;
 

@@ -42,7 +42,7 @@ impl RobotMeshes {
         }
         // The rail that the fingers slide in.
         let rail = primitives::rounded_cuboid([0.034, 0.122, 0.020], 0.004, DARK);
-        links[6].append(&rail.transformed(&Pose::translation(0.0, 0.0, 0.078)));
+        links[6].append(&rail.transformed(&Pose::translation(0.0, 0.0, 0.068)));
         Self { links, fingers: [finger(1.0), finger(-1.0)] }
     }
 }
@@ -59,7 +59,7 @@ fn finger(side: f64) -> Mesh {
     let pad = primitives::cuboid([PAD_WIDTH, PAD_THICKNESS, PAD_LENGTH], PAD);
     mesh.append(&pad.transformed(&Pose::translation(0.0, side * 0.5 * PAD_THICKNESS, 0.0)));
     let knuckle = primitives::rounded_cuboid([0.026, FINGER_THICKNESS + 0.004, 0.030], 0.003, DARK);
-    let at = Pose::translation(0.0, side * (PAD_THICKNESS + 0.5 * FINGER_THICKNESS), -0.052);
+    let at = Pose::translation(0.0, side * (PAD_THICKNESS + 0.5 * FINGER_THICKNESS), -0.062);
     mesh.append(&knuckle.transformed(&at));
     mesh
 }

@@ -15,8 +15,14 @@ use tdv_simulation::world::DT;
 use tdv_simulation::{Lab, LabAssets, Scene};
 
 fn assets() -> Arc<LabAssets> {
-    let path =
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/scenes/cup_on_coaster.yaml");
+    assets_of("cup_on_coaster")
+}
+
+fn assets_of(scene: &str) -> Arc<LabAssets> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../config/scenes")
+        .join(scene)
+        .with_extension("yaml");
     Arc::new(LabAssets::load(Scene::load(&path).unwrap()).unwrap())
 }
 
@@ -32,6 +38,8 @@ struct Script {
     /// Errors that it makes: grasp off by x, y (m) and yaw (rad), set down too high (m; negative: it
     /// presses).
     slop: [f64; 4],
+    /// Height of the grasp over the object's underside, thickness of the reference, m.
+    heights: [f64; 2],
 }
 
 impl Script {
@@ -40,7 +48,17 @@ impl Script {
         let q = *lab.joints().0;
         let tcp = arm.fk_tcp(&q);
         let request = GripperRequest { activate: true, ..GripperRequest::default() };
-        let mut s = Self { lab, arm, beat: 0, q, tcp, request, ticks: 0, slop: [0.0; 4] };
+        let mut s = Self {
+            lab,
+            arm,
+            beat: 0,
+            q,
+            tcp,
+            request,
+            ticks: 0,
+            slop: [0.0; 4],
+            heights: [0.058, 0.008],
+        };
         s.lab.set_gripper_request(request);
         while s.lab.gripper_status().activation != Activation::Active {
             s.tick();
@@ -99,25 +117,32 @@ impl Script {
 
     /// Takes the mug and puts it down where its target was seen before `between` ran.
     fn pick_and_place(&mut self, goal: PlacingGoal, between: impl FnOnce(&mut Lab)) -> bool {
-        let mug = self.lab.object_pose("mug").unwrap();
-        let coaster = self.lab.object_pose("coaster").unwrap();
+        let task = self.lab.scene().task.clone();
+        let mug = self.lab.object_pose(&task.moving).unwrap();
+        let coaster = self.lab.object_pose(&task.reference).unwrap();
+        let [low, thick] = self.heights;
+        let above = low + 0.14;
         let yaw = yaw_of(&mug.rotation);
         let m = mug.translation;
         // The fingers close across the handle's plane.
         let [dx, dy, turn, high] = self.slop;
         let grasp = |z| down(m.x + dx, m.y + dy, z, yaw + turn);
-        if !(self.go(grasp(0.20)) && self.go(grasp(0.058))) {
+        if !(self.go(grasp(above)) && self.go(grasp(low))) {
             return false;
         }
-        if self.fingers(255) != ObjectStatus::ContactClosing || !self.lab.held("mug").unwrap() {
+        if self.fingers(255) != ObjectStatus::ContactClosing
+            || !self.lab.held(&task.moving).unwrap()
+        {
             return false;
         }
         between(&mut self.lab);
         let t = coaster.translation;
         let place = |z| down(t.x + goal.offset[0], t.y + goal.offset[1], z, goal.yaw);
-        let there = self.go(grasp(0.20)) && self.go(place(0.20)) && self.go(place(0.067 + high));
+        let there = self.go(grasp(above))
+            && self.go(place(above))
+            && self.go(place(low + thick + 0.001 + high));
         self.fingers(0);
-        there && self.go(place(0.20))
+        there && self.go(place(above))
     }
 }
 
@@ -154,6 +179,22 @@ fn scripted_trials_succeed() {
         won += u32::from(v.success);
     }
     assert_eq!(won, 6);
+}
+
+#[test]
+fn the_bottle_is_placed_on_the_disc() {
+    let assets = assets_of("mustard_on_disc");
+    for (seed, low) in [(0, 0.128), (1, 0.131), (2, 0.134)] {
+        let mut lab = Lab::from_assets(Arc::clone(&assets), seed).unwrap();
+        lab.begin_trial(PlacingGoal::default()).unwrap();
+        let mut s = Script::new(lab);
+        s.heights = [low, 0.006];
+        let moved = s.pick_and_place(PlacingGoal::default(), |_| {});
+        s.wait(1.5);
+        let (v, i) = (s.lab.trial().clone(), s.lab.incidents());
+        println!("{seed}: {moved} {v:?} {i:?}");
+        assert!(moved && v.success && i.protective_stops == 0, "{v:?} {i:?}");
+    }
 }
 
 /// What a learned policy does: a grasp off by a centimetre and ten degrees, a mug dropped from 6 mm or
