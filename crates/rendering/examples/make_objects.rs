@@ -151,7 +151,7 @@ fn all() -> Vec<Made> {
             comment: "A cork coaster. Origin: middle of the underside, z up.",
             file: ObjectFile {
                 synonyms: words(&["mat", "drink mat", "saucer", "beer mat"]),
-                colors: words(&["red", "brown", "red-brown"]),
+                colors: words(&["red", "brown"]),
                 symmetry: z_axis.clone(),
                 mass: 0.12,
                 friction: 0.8,

@@ -13,7 +13,7 @@ mod raster;
 
 pub use camera::{Intrinsics, look_at};
 pub use depth::{DepthError, DepthImage};
-pub use image::RgbImage;
+pub use image::{Rgb, RgbImage};
 pub use lighting::{Light, Lighting};
 pub use mesh::{Mesh, MeshError};
 pub use object::{CollisionPart, ObjectError, ObjectFile, PartShape};

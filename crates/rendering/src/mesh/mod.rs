@@ -264,8 +264,10 @@ impl Mesh {
 pub(crate) fn repeat(t: f32) -> f32 {
     if (0.0..=1.0).contains(&t) {
         t
-    } else if t.is_finite() {
-        t.rem_euclid(1.0)
+    } else if t.abs() < 1e6 {
+        // Casting truncates; `floor` and `rem_euclid` are library calls on the baseline processor.
+        let part = t - t as i32 as f32;
+        if part < 0.0 { part + 1.0 } else { part }
     } else {
         0.0
     }

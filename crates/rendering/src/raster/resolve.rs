@@ -25,32 +25,58 @@ fn normalize(a: V3) -> V3 {
     if s > 1e-24 { a.map(|v| v / s.sqrt()) } else { a }
 }
 
-/// A quantity that varies linearly over a triangle: value at the first corner and the differences
-/// to the two others.
+/// A quantity that varies linearly over a triangle's plane: `constant + gradient . p` at the point p
+/// of the camera frame.
 #[derive(Clone, Copy)]
-struct Linear<const N: usize> {
-    base: [f32; N],
-    d1: [f32; N],
-    d2: [f32; N],
+struct Affine<const N: usize> {
+    constant: [f32; N],
+    gradient: [V3; N],
+    /// Whether it is the same everywhere.
+    flat: bool,
 }
 
-impl<const N: usize> Default for Linear<N> {
+impl<const N: usize> Default for Affine<N> {
     fn default() -> Self {
-        Self { base: [0.0; N], d1: [0.0; N], d2: [0.0; N] }
+        Self { constant: [0.0; N], gradient: [[0.0; 3]; N], flat: true }
     }
 }
 
-impl<const N: usize> Linear<N> {
-    fn new(v: [[f32; N]; 3]) -> Self {
-        Self {
-            base: v[0],
-            d1: std::array::from_fn(|k| v[1][k] - v[0][k]),
-            d2: std::array::from_fn(|k| v[2][k] - v[0][k]),
+impl<const N: usize> Affine<N> {
+    /// From the values at the corners; `k1`, `k2` give the barycentric coordinates of the second and
+    /// third corner as `k . (p - corner)`.
+    fn new(v: [[f32; N]; 3], corner: &V3, k1: &V3, k2: &V3) -> Self {
+        if v[0] == v[1] && v[0] == v[2] {
+            return Self { constant: v[0], ..Self::default() };
+        }
+        let gradient: [V3; N] = std::array::from_fn(|i| {
+            let (d1, d2) = (v[1][i] - v[0][i], v[2][i] - v[0][i]);
+            std::array::from_fn(|k| d1 * k1[k] + d2 * k2[k])
+        });
+        let constant = std::array::from_fn(|i| v[0][i] - dot(&gradient[i], corner));
+        Self { constant, gradient, flat: false }
+    }
+
+    /// Prepared for one image row: value / z at a pixel is `a * inverse_z + b * ray_x + c`.
+    fn along_row(&self, ray_y: f32) -> Row<N> {
+        Row {
+            a: self.constant,
+            b: std::array::from_fn(|i| self.gradient[i][0]),
+            c: std::array::from_fn(|i| self.gradient[i][1] * ray_y + self.gradient[i][2]),
         }
     }
+}
 
-    fn at(&self, b1: f32, b2: f32) -> [f32; N] {
-        std::array::from_fn(|k| self.base[k] + b1 * self.d1[k] + b2 * self.d2[k])
+/// An [`Affine`] along one image row.
+struct Row<const N: usize> {
+    a: [f32; N],
+    b: [f32; N],
+    c: [f32; N],
+}
+
+impl<const N: usize> Row<N> {
+    /// The value divided by z.
+    fn over_z(&self, inverse_z: f32, ray_x: f32) -> [f32; N] {
+        std::array::from_fn(|i| self.a[i] * inverse_z + self.b[i] * ray_x + self.c[i])
     }
 }
 
@@ -59,14 +85,13 @@ impl<const N: usize> Linear<N> {
 struct Facet {
     id: u16,
     instance: usize,
-    corner: V3,
-    /// Barycentric coordinates are `k1 . (p - corner)` and `k2 . (p - corner)`.
-    k1: V3,
-    k2: V3,
-    normal: Linear<3>,
-    albedo: Linear<3>,
-    uv: Linear<2>,
+    normal: Affine<3>,
+    albedo: Affine<3>,
+    uv: Affine<2>,
 }
+
+/// The last triangles met: rows revisit those of the row above.
+const CACHE: usize = 128;
 
 impl Renderer {
     fn facet(&self, scene: &[Instance<'_>], number: u32, colored: bool) -> Facet {
@@ -79,6 +104,8 @@ impl Renderer {
         let (e1, e2) = (sub(&p[1], &p[0]), sub(&p[2], &p[0]));
         let face = cross(&e1, &e2);
         let square = dot(&face, &face).max(1e-30);
+        let k1 = cross(&e2, &face).map(|v| v / square);
+        let k2 = cross(&face, &e1).map(|v| v / square);
         let mut n = t.map(|i| self.normals[base + i]);
         for v in &mut n {
             if dot(v, v) < 1e-12 {
@@ -88,18 +115,22 @@ impl Renderer {
         let mut facet = Facet {
             id: instance.id,
             instance: index as usize,
-            corner: p[0],
-            k1: cross(&e2, &face).map(|v| v / square),
-            k2: cross(&face, &e1).map(|v| v / square),
-            normal: Linear::new(n),
+            normal: Affine::new(n, &p[0], &k1, &k2),
             ..Facet::default()
         };
+        if facet.normal.flat {
+            // One normal for all: turned towards the camera once.
+            let n = normalize(facet.normal.constant);
+            facet.normal.constant = if dot(&n, &p[0]) > 0.0 { n.map(|v| -v) } else { n };
+        }
         if colored {
             let table = &*TO_LINEAR;
             let color = t.map(|i| mesh.colors.get(i).copied().unwrap_or([200; 3]));
-            facet.albedo = Linear::new(color.map(|c| c.map(|v| table[v as usize])));
+            let color = color.map(|c| c.map(|v| table[v as usize]));
+            facet.albedo = Affine::new(color, &p[0], &k1, &k2);
             if mesh.texture.is_some() {
-                facet.uv = Linear::new(t.map(|i| mesh.uvs.get(i).copied().unwrap_or_default()));
+                let uv = t.map(|i| mesh.uvs.get(i).copied().unwrap_or_default());
+                facet.uv = Affine::new(uv, &p[0], &k1, &k2);
             }
         }
         facet
@@ -116,51 +147,71 @@ impl Renderer {
         if width == 0 {
             return;
         }
-        let (fx, fy) = (1.0 / camera.fx as f32, 1.0 / camera.fy as f32);
-        let mut facet = Facet::default();
-        let mut current = 0;
+        let fy = 1.0 / camera.fy as f32;
+        let rays: Vec<f32> =
+            (0..width).map(|x| ((x as f64 - camera.cx) / camera.fx) as f32).collect();
+        let mut cache = vec![(0_u32, Facet::default()); CACHE];
         for y in 0..camera.height as usize {
             let ray_y = (y as f32 - camera.cy as f32) * fy;
-            for x in 0..width {
-                let i = y * width + x;
-                let seen = self.visible[i];
+            let row = y * width..(y + 1) * width;
+            let visible = &self.visible[row.clone()];
+            let inverse = &self.inv_z[row.clone()];
+            let depth = &mut depth[row.clone()];
+            let ids = &mut ids[row.clone()];
+            let normals = &mut normals[row.clone()];
+            let mut from = 0;
+            while from < width {
+                let seen = visible[from];
+                let run = visible[from..].iter().take_while(|v| **v == seen).count();
+                let span = from..from + run;
+                from += run;
+                let pixels = 3 * (row.start + span.start)..3 * (row.start + span.end);
                 if seen == 0 {
-                    depth[i] = 0.0;
-                    ids[i] = 0;
-                    normals[i] = [0.0; 3];
+                    depth[span.clone()].fill(0.0);
+                    ids[span.clone()].fill(0);
+                    normals[span].fill([0.0; 3]);
                     if let Some((shader, image)) = &mut color {
-                        image.as_mut()[3 * i..3 * i + 3].copy_from_slice(&shader.background);
+                        for pixel in image.as_mut()[pixels].chunks_exact_mut(3) {
+                            pixel.copy_from_slice(&shader.background);
+                        }
                     }
                     continue;
                 }
-                if seen != current {
-                    facet = self.facet(scene, seen - 1, color.is_some());
-                    current = seen;
+                let slot = &mut cache[seen as usize % CACHE];
+                if slot.0 != seen {
+                    *slot = (seen, self.facet(scene, seen - 1, color.is_some()));
                 }
-                let z = 1.0 / self.inv_z[i];
-                let p = [(x as f32 - camera.cx as f32) * fx * z, ray_y * z, z];
-                let from = sub(&p, &facet.corner);
-                let (b1, b2) = (dot(&facet.k1, &from), dot(&facet.k2, &from));
-                let mut n = normalize(facet.normal.at(b1, b2));
-                if dot(&n, &p) > 0.0 {
-                    n = n.map(|v| -v);
+                let facet = &slot.1;
+                let (inverse, rays) = (&inverse[span.clone()], &rays[span.clone()]);
+                let (depth, normals) = (&mut depth[span.clone()], &mut normals[span.clone()]);
+                ids[span].fill(facet.id);
+                for (z, w) in depth.iter_mut().zip(inverse) {
+                    *z = 1.0 / w;
                 }
-                depth[i] = z;
-                ids[i] = facet.id;
-                normals[i] = n;
+                fill_normals(&facet.normal, inverse, rays, ray_y, normals);
                 if let Some((shader, image)) = &mut color {
-                    let mut albedo = facet.albedo.at(b1, b2);
-                    if let Some(texture) = &scene[facet.instance].mesh.texture {
-                        let texel = bilinear(texture, facet.uv.at(b1, b2));
-                        for k in 0..3 {
-                            albedo[k] *= texel[k];
-                        }
-                    }
-                    let shaded = shader.shade(&albedo, &n, &p);
-                    image.as_mut()[3 * i..3 * i + 3].copy_from_slice(&shaded);
+                    let texture = scene[facet.instance].mesh.texture.as_ref();
+                    let pixels = &mut image.as_mut()[pixels];
+                    shader.fill(facet, texture, (depth, inverse, rays, ray_y), normals, pixels);
                 }
             }
         }
+    }
+}
+
+fn fill_normals(field: &Affine<3>, inverse: &[f32], rays: &[f32], ray_y: f32, normals: &mut [V3]) {
+    if field.flat {
+        normals.fill(field.constant);
+        return;
+    }
+    let row = field.along_row(ray_y);
+    for ((n, w), x) in normals.iter_mut().zip(inverse).zip(rays) {
+        // Divided by z it points the same way.
+        let m = row.over_z(*w, *x);
+        let square = dot(&m, &m).max(1e-30);
+        let away = m[0] * x + m[1] * ray_y + m[2] > 0.0;
+        let scale = if away { -1.0 } else { 1.0 } / square.sqrt();
+        *n = m.map(|v| v * scale);
     }
 }
 
@@ -174,7 +225,7 @@ fn bilinear(texture: &RgbImage, uv: [f32; 2]) -> V3 {
     }
     let u = (repeat(uv[0]) * w as f32 - 0.5).clamp(0.0, (w - 1) as f32);
     let v = (repeat(1.0 - uv[1]) * h as f32 - 0.5).clamp(0.0, (h - 1) as f32);
-    let (fu, fv) = (u.fract(), v.fract());
+    let (fu, fv) = (u - u as u32 as f32, v - v as u32 as f32);
     let column = |d: usize| (u as usize + d).min(w as usize - 1);
     let row = |d: usize| (v as usize + d).min(h as usize - 1);
     let raw = texture.as_raw();
@@ -197,8 +248,13 @@ pub(super) struct Shader {
     lights: Vec<(V3, V3)>,
     specular: f32,
     shininess: f32,
+    /// Cosine below which a highlight is darker than 1e-4.
+    gloss_from: f32,
     background: [u8; 3],
 }
+
+/// Depths, inverse depths and the rays' x of a run of pixels, and their common ray y.
+type Run<'a> = (&'a [f32], &'a [f32], &'a [f32], f32);
 
 impl Shader {
     pub(super) fn new(lighting: &Lighting) -> Self {
@@ -207,7 +263,37 @@ impl Shader {
             lights: lighting.lights.iter().map(|l| (normalize(l.direction), l.color)).collect(),
             specular: lighting.specular,
             shininess: lighting.shininess,
+            gloss_from: 1e-4_f32.powf(1.0 / lighting.shininess.max(1e-3)),
             background: lighting.background,
+        }
+    }
+
+    /// Colours a run of pixels of one triangle.
+    fn fill(
+        &self,
+        facet: &Facet,
+        texture: Option<&RgbImage>,
+        (depth, inverse, rays, ray_y): Run<'_>,
+        normals: &[V3],
+        pixels: &mut [u8],
+    ) {
+        let albedo_row = facet.albedo.along_row(ray_y);
+        let uv_row = facet.uv.along_row(ray_y);
+        for (i, pixel) in pixels.chunks_exact_mut(3).enumerate() {
+            let (z, w, x) = (depth[i], inverse[i], rays[i]);
+            let mut albedo = if facet.albedo.flat {
+                facet.albedo.constant
+            } else {
+                albedo_row.over_z(w, x).map(|v| v * z)
+            };
+            if let Some(texture) = texture {
+                let texel = bilinear(texture, uv_row.over_z(w, x).map(|v| v * z));
+                for k in 0..3 {
+                    albedo[k] *= texel[k];
+                }
+            }
+            let point = [x * z, ray_y * z, z];
+            pixel.copy_from_slice(&self.shade(&albedo, &normals[i], &point));
         }
     }
 
@@ -225,9 +311,12 @@ impl Shader {
             if self.specular > 0.0 {
                 let view = normalize(*point);
                 let half = normalize(sub(direction, &view));
-                let s = self.specular * dot(normal, &half).max(0.0).powf(self.shininess);
-                for k in 0..3 {
-                    gloss[k] += s * color[k];
+                let s = dot(normal, &half);
+                if s > self.gloss_from {
+                    let s = self.specular * s.powf(self.shininess);
+                    for k in 0..3 {
+                        gloss[k] += s * color[k];
+                    }
                 }
             }
         }
