@@ -113,10 +113,7 @@ fn a_grasp_3_cm_off_fails_to_lift() {
 
 #[test]
 fn other_objects_are_lifted_too() {
-    // The bottle hangs by its shoulders, 13 cm above its origin: two degrees of swing are 5 mm there.
-    for (name, above, width, slip) in
-        [("bottle", 0.135, 0.0624, 0.008), ("cube", 0.0, 0.085, 0.002)]
-    {
+    for (name, above, width) in [("bottle", 0.131, 0.0624), ("cube", 0.0, 0.085)] {
         let lowest = if name == "cube" { 0.0425 } else { 0.0 };
         let start = Pose::translation(0.5, 0.0, lowest) * at(0.0, 0.0, 0.0);
         let mut rig = Rig::new(&[object(name, start)], down(0.5, 0.0, 0.30, 0.0));
@@ -127,10 +124,12 @@ fn other_objects_are_lifted_too() {
         rig.watch(0);
         rig.go(down(0.5, 0.0, 0.30, 0.0), 0.2);
         rig.go(down(0.45, 0.2, 0.30, 1.0), 0.25);
+        // Nothing creeps in a grip that is held for long.
+        rig.wait(5.0);
         let rise = rig.world.object_pose(0).translation.z - lowest;
         println!("{name}: rise {rise:.4}, slip {:.5}, gap {gap:.4}", rig.slip);
         assert!((rise - (0.30 - lowest - above)).abs() < 0.003, "{name}");
-        assert!(rig.slip < slip && (gap - width).abs() < 0.002, "{name}");
+        assert!(rig.slip < 0.0005 && (gap - width).abs() < 0.002, "{name}");
     }
 }
 
