@@ -25,7 +25,7 @@ use crate::{
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
-use tdv_geometry::nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
+use tdv_geometry::nalgebra::{Matrix3, Point3, Vector3};
 use tdv_geometry::{Pose, Stamp, Symmetry, pose_from_xyz_rpy, rotation_from_matrix};
 
 /// How the recording is set before the robot.
@@ -41,7 +41,7 @@ pub struct ImportOptions {
 
 impl Default for ImportOptions {
     fn default() -> Self {
-        Self { rate: 30.0, disc: [0.45, -0.22], parse: ParseConfig::default() }
+        Self { rate: 30.0, disc: [0.45, -0.24], parse: ParseConfig::default() }
     }
 }
 
@@ -210,8 +210,7 @@ fn to_frames(
     // base_link: z along the normal, x along the bottle's last x axis, the disc where the path ends.
     let x = end.rotation * Vector3::x();
     let x = (x - up * x.dot(&up)).try_normalize(1e-6).ok_or_else(none)?;
-    let axes = Matrix3::from_columns(&[x, up.cross(&x), up]);
-    let turn = UnitQuaternion::from_matrix(&axes).inverse();
+    let turn = crate::path::from_axes(&x, &up.cross(&x), &up).inverse();
     let bottom = rest.translation.vector + up * shape.bottom;
     let under = turn * end.translation.vector;
     let shift =

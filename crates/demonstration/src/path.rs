@@ -1,6 +1,6 @@
 //! Geometric paths: even spacing, rounded corners, one speed law.
 
-use tdv_geometry::nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use tdv_geometry::nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use tdv_geometry::{Pose, interpolate, twist_arc};
 
 /// Radius (m) at which a rotation is weighed against a translation in path lengths.
@@ -19,6 +19,18 @@ pub struct Limits {
     pub tail: f64,
     /// m/s in the tail.
     pub tail_speed: f64,
+}
+
+/// Rotation with these columns, which must be orthonormal and right-handed. (nalgebra's
+/// `UnitQuaternion::from_matrix` searches from the identity and stays there for half turns, such as a
+/// gripper that points straight down.)
+pub(crate) fn from_axes(
+    x: &Vector3<f64>,
+    y: &Vector3<f64>,
+    z: &Vector3<f64>,
+) -> UnitQuaternion<f64> {
+    let m = Matrix3::from_columns(&[*x, *y, *z]);
+    UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(m))
 }
 
 /// Cumulative SE(3) arc length (m) of a path, see [`twist_arc`].
@@ -111,6 +123,10 @@ pub fn retime(path: &[Pose], limits: &Limits, dt: f64) -> Vec<Pose> {
     }
     if points.len() < 2 {
         return vec![*first, *last];
+    }
+    // A few corners are not enough to speed up and slow down between.
+    if points.len() < 50 {
+        points = densify(&points, 50);
     }
     let arcs = arcs(&points);
     let speeds = speed_profile(&points, &arcs, limits);

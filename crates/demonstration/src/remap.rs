@@ -2,7 +2,7 @@
 
 use crate::gripper_symmetry;
 use serde::{Deserialize, Serialize};
-use tdv_geometry::nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
+use tdv_geometry::nalgebra::{Point3, UnitQuaternion, Vector3};
 use tdv_geometry::{Pose, pose_from_xyz_rpy};
 
 /// Order of the 21 joints.
@@ -126,7 +126,7 @@ pub fn remap(joints: &[Point3<f64>; 21], config: &RemapConfig) -> Option<Remappe
         RemapMethod::Tdv => j(THUMB_IP) + y * (0.5 * across.dot(&y)) + z * config.tip_distance,
         RemapMethod::Phantom => middle(&j(THUMB_TIP), &j(MIDDLE_TIP)),
     };
-    let rotation = UnitQuaternion::from_matrix(&Matrix3::from_columns(&[x, y, z]));
+    let rotation = crate::path::from_axes(&x, &y, &z);
     let a = config.tool_align;
     let align = pose_from_xyz_rpy([a[0], a[1], a[2]], [a[3], a[4], a[5]]);
     let fingers = middle(&j(INDEX_TIP), &j(MIDDLE_TIP));

@@ -236,7 +236,7 @@ mod tests {
                 .filter(|i| {
                     let x = w.x[0] + (w.x[1] - w.x[0]) * (f64::from(i % n) + 0.5) / f64::from(n);
                     let y = w.y[0] + (w.y[1] - w.y[0]) * (f64::from(i / n) + 0.5) / f64::from(n);
-                    (x - 0.45).hypot(y + 0.22) < w.exclude_radius
+                    (x - 0.45).hypot(y + 0.24) < w.exclude_radius
                 })
                 .count();
             assert!((inside as f64) < 0.1 * f64::from(n * n), "{inside} of {}", n * n);

@@ -1,7 +1,7 @@
 //! The table: the dominant plane that faces up, found by seeded RANSAC and refined by least squares.
 
 use crate::points::PointMap;
-use nalgebra::{Matrix3, Point3, SymmetricEigen, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Point3, Rotation3, SymmetricEigen, Unit, UnitQuaternion, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -77,7 +77,9 @@ impl TablePlane {
         }
         let x = x.normalize();
         let m = Matrix3::from_columns(&[x, normal.cross(&x), normal]);
-        let pose = Pose::from_parts(origin.coords.into(), UnitQuaternion::from_matrix(&m));
+        // Not `UnitQuaternion::from_matrix`: its iteration fails for half turns (camera looking straight down).
+        let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(m));
+        let pose = Pose::from_parts(origin.coords.into(), rotation);
         Self { pose, normal, offset, fraction: 0.0, rms: 0.0 }
     }
 }
@@ -204,4 +206,49 @@ fn refine(
     t.fraction = near.len() as f64 / valid.max(1) as f64;
     t.rms = rms;
     Some(t)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::RgbdFrame;
+    use tdv_geometry::Stamp;
+    use tdv_rendering::{DepthImage, RgbImage};
+
+    const K: Intrinsics =
+        Intrinsics { width: 160, height: 120, fx: 150.0, fy: 150.0, cx: 79.5, cy: 59.5 };
+
+    /// Depth of the plane `normal . p = offset`, a box 8 cm high in the middle.
+    fn frame(normal: Vector3<f64>, offset: f64) -> RgbdFrame {
+        let mut data = Vec::new();
+        for v in 0..120 {
+            for u in 0..160 {
+                let lift = if (60..100).contains(&u) && (50..80).contains(&v) { 0.08 } else { 0.0 };
+                let z = (offset + lift) / normal.dot(&K.ray(f64::from(u), f64::from(v)));
+                data.push(if z > 0.0 { z as f32 } else { 0.0 });
+            }
+        }
+        RgbdFrame {
+            stamp: Stamp(0),
+            color: RgbImage::new(160, 120),
+            depth: DepthImage { width: 160, height: 120, data },
+            intrinsics: K,
+        }
+    }
+
+    #[test]
+    fn plane_from_steep_and_straight_views_and_after_motion() {
+        for normal in [Vector3::new(0.0, 0.0, -1.0), Vector3::new(0.05, -0.6, -0.8).normalize()] {
+            let f = frame(normal, -0.7);
+            let map = PointMap::new(&f, 2);
+            let t = detect_table(&map, &K, &TableConfig::default()).unwrap();
+            assert!(t.normal.angle(&normal) < 0.003 && (t.offset + 0.7).abs() < 0.002, "{t:?}");
+            assert!((t.pose.rotation * Vector3::z()).angle(&normal) < 0.003);
+            let moved = (normal + Vector3::new(0.02, 0.01, 0.0)).normalize();
+            let map = PointMap::new(&frame(moved, -0.69), 4);
+            let t = follow_table(&map, &K, &t, &TableConfig::default()).unwrap();
+            assert!(t.normal.angle(&moved) < 0.004, "{t:?}");
+        }
+        assert!(detect_table(&PointMap::new(&frame(-Vector3::z(), 0.0), 2), &K, &TableConfig::default()).is_none());
+    }
 }

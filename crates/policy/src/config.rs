@@ -162,7 +162,12 @@ pub struct TrainConfig {
     pub time_jitter: f64,
     /// Part of the histories whose older poses repeat a younger one: a start, or a stall on the way.
     pub padding: f64,
-    /// Weight of the position errors.
+    /// A history that moved less than this (m, rotations at a radius of 0.1 m) counts as rest, and the
+    /// plan then begins where the trajectory is this far away: plans leave a standstill. 0 for off.
+    pub leave: f64,
+    /// Weight of the position errors against the rotation errors: with 1 the rotation is learned long
+    /// before the last centimetre (measured after 300 steps: 10 mm and 0.6 degrees, with 4 2.5 mm and
+    /// 0.3).
     pub position_weight: f64,
     /// Weight of the rotation errors.
     pub rotation_weight: f64,
@@ -192,7 +197,8 @@ impl Default for TrainConfig {
             drift_rotation: 0.035,
             time_jitter: 0.3,
             padding: 0.2,
-            position_weight: 1.0,
+            leave: 0.003,
+            position_weight: 4.0,
             rotation_weight: 1.0,
             threads: 2,
             evaluate_every: 0,
@@ -229,6 +235,7 @@ impl TrainConfig {
             ("drift_rotation", self.drift_rotation, 0.0, 1.0),
             ("time_jitter", self.time_jitter, 0.0, 0.9),
             ("padding", self.padding, 0.0, 1.0),
+            ("leave", self.leave, 0.0, 0.1),
             ("position_weight", self.position_weight, 1e-3, 1e3),
             ("rotation_weight", self.rotation_weight, 1e-3, 1e3),
         ] {

@@ -6,7 +6,10 @@ use nalgebra::{UnitQuaternion, Vector3};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
-use tdv_geometry::{Pose, interpolate};
+use tdv_geometry::{Pose, interpolate, twist_arc};
+
+/// Radius (m) at which a rotation counts as a way.
+const LEVER: f64 = 0.1;
 
 /// One procedure's trajectories `T_reference_moving`, uniform in time.
 #[derive(Debug, Clone, PartialEq)]
@@ -253,15 +256,32 @@ impl<'a> Windows<'a> {
         }
         let n = self.config.history;
         write_history(poses, normaliser, time, spacing, t, rng, history);
+        let mut oldest = time - (n - 1) as f64 * spacing;
         if rng.random_bool(t.padding) {
             let valid = rng.random_range(1..=n);
             let (old, young) = history.split_at_mut((n - valid) * POSE_DIM);
             old.chunks_exact_mut(POSE_DIM).for_each(|o| o.copy_from_slice(&young[..POSE_DIM]));
+            oldest = time - (valid - 1) as f64 * spacing;
         }
+        let ahead = time + departure(poses, oldest, time, t.leave);
         for (i, out) in future.chunks_exact_mut(POSE_DIM).enumerate() {
-            out.copy_from_slice(&normaliser.encode(&pose_at(poses, time + (i + 1) as f64)));
+            out.copy_from_slice(&normaliser.encode(&pose_at(poses, ahead + (i + 1) as f64)));
         }
     }
+}
+
+/// Samples to skip so that a plan leaves a standstill. A history that moved less than `leave` looks
+/// like rest under tracker noise, and the smooth start of a trajectory moves even less before the next
+/// plan is made: without the skip that plan would start from rest again, and so on for ever. Zero for
+/// a history in motion, and where less than `leave` remains to the end.
+fn departure(poses: &[Pose], oldest: f64, now: f64, leave: f64) -> f64 {
+    const LIMIT: usize = 10;
+    let here = pose_at(poses, now);
+    let moved = |t: f64| twist_arc(&here, &pose_at(poses, t), LEVER);
+    if leave <= 0.0 || moved(oldest) >= leave {
+        return 0.0;
+    }
+    (1..=LIMIT).map(|s| s as f64).find(|s| moved(now + s) >= leave).unwrap_or(0.0)
 }
 
 /// A disturbed history that ends at sample `time`, its poses `spacing` samples apart.
@@ -321,6 +341,7 @@ mod tests {
             drift_rotation: 0.0,
             time_jitter: 0.0,
             padding: 0.0,
+            leave: 0.0,
             ..TrainConfig::default()
         };
         let n = set.normalisers().unwrap();
@@ -336,6 +357,13 @@ mod tests {
         w.write((0, 1, end + 9), &mut rng, &mut h, &mut f);
         assert_eq!(h[..9], n[0].encode(&poses[end]));
         assert_eq!(f[15 * 9..], n[0].encode(&poses[end]));
+        // From rest the plan leaves at once, in motion and at the end it does not jump.
+        let length = |i: f64| departure(poses, i - 7.0, i, 0.003);
+        let s = length(0.0);
+        assert!(s >= 2.0 && twist_arc(&poses[0], &pose_at(poses, s), LEVER) >= 0.003);
+        assert_eq!(length(poses.len() as f64 / 2.0), 0.0);
+        assert_eq!(length(end as f64), 0.0);
+        assert_eq!(length(end as f64 + 9.0), 0.0);
         for _ in 0..1000 {
             let (p, t, at) = w.draw(&mut rng);
             assert!(at < set.procedures[p].trajectories[t].len() + quiet.hold_samples);

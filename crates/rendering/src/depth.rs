@@ -66,9 +66,10 @@ impl DepthImage {
         self.data
             .iter()
             .map(|&z| {
-                let mm = (z * 1000.0).round();
-                // A NaN fails the comparison too.
-                if mm > 0.0 && mm <= f32::from(u16::MAX) { mm as u16 } else { 0 }
+                // Casting truncates, saturates and makes zero of NaN; `round` is a library call on the
+                // baseline processor.
+                let mm = (z * 1000.0 + 0.5) as u32;
+                if mm <= u32::from(u16::MAX) { mm as u16 } else { 0 }
             })
             .collect()
     }

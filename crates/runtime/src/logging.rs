@@ -7,9 +7,11 @@ use crate::topics::Publisher;
 use std::fmt::Write as _;
 use std::io::IsTerminal;
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
 use tdv_msgs::rcl_interfaces::msg::Log;
 use tracing::field::{Field, Visit};
-use tracing::{Event, Level, Subscriber};
+use tracing::{Event, Level, Metadata, Subscriber};
+use tracing_subscriber::filter::filter_fn;
 use tracing_subscriber::layer::{Context, SubscriberExt};
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{EnvFilter, Layer};
@@ -38,7 +40,12 @@ pub fn init(node: &str, arguments: &Arguments) {
         .with_ansi(terminal)
         .with_target(false);
     // An error means that a test or an embedding program has already set up logging: use that.
-    let _ = tracing_subscriber::registry().with(filter).with(lines).with(RosoutLayer).try_init();
+    let _ = tracing_subscriber::registry()
+        .with(filter)
+        .with(filter_fn(wanted))
+        .with(lines)
+        .with(RosoutLayer)
+        .try_init();
 }
 
 fn directives(node: &str, levels: &[(String, String)]) -> String {
@@ -64,9 +71,19 @@ pub(crate) fn publish_to(publisher: Publisher<Log>, clock: Clock, name: String) 
     *lock(&ROSOUT) = Some(Rosout { publisher, clock, name });
 }
 
-/// Log lines no longer go to `/rosout`; a publisher left here would keep the participant alive.
+/// The node leaves the graph: log lines no longer go to `/rosout`, where a publisher would keep the
+/// participant alive, and the middleware's last words are dropped.
 pub(crate) fn stop_publishing() {
+    LEAVING.store(true, Ordering::Relaxed);
     drop(lock(&ROSOUT).take());
+}
+
+/// Set while the participant is taken down.
+static LEAVING: AtomicBool = AtomicBool::new(false);
+
+/// While leaving, the middleware complains about parts of itself that are already gone.
+fn wanted(meta: &Metadata<'_>) -> bool {
+    !(LEAVING.load(Ordering::Relaxed) && QUIET.iter().any(|t| meta.target().starts_with(t)))
 }
 
 struct RosoutLayer;

@@ -11,6 +11,7 @@ use crate::{Environment, RuntimeError};
 use ros2_client::{Context, Message, MessageTypeName, Name, NodeName, NodeOptions};
 use std::future::Future;
 use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::Duration;
 use tdv_geometry::Stamp;
 use tdv_msgs::{RawMessage, RosMessage};
 use tokio::task::AbortHandle;
@@ -278,15 +279,27 @@ impl Node {
         lock(&self.shared.ros).as_ref().map(|(_, context)| context.clone())
     }
 
-    /// Ends all tasks and leaves the graph. Publishers that are still held somewhere keep the
-    /// participant (but not the node) in the graph until they are dropped.
+    /// Ends all tasks and leaves the graph; takes about 0.2 s. Publishers that are still held somewhere
+    /// keep the participant (but not the node) in the graph until they are dropped.
     pub fn leave(&self) {
         for task in lock(&self.shared.tasks).drain(..) {
             task.abort();
         }
-        drop(lock(&self.shared.ros).take());
+        // The other participants learn about each end that goes, and about the node, only while the
+        // middleware's own threads still run. Without these waits they would keep dead ends in their
+        // lists until the lease has run out, the better part of a minute.
+        std::thread::sleep(FAREWELL);
+        let taken = lock(&self.shared.ros).take();
+        if let Some((ros, context)) = taken {
+            drop(ros);
+            std::thread::sleep(FAREWELL);
+            drop(context);
+        }
     }
 }
+
+/// Time for the last messages to go out.
+const FAREWELL: Duration = Duration::from_millis(100);
 
 fn type_name(
     what: &'static str,

@@ -30,7 +30,7 @@ const LIFTED: f64 = 0.05;
 impl Disturbance {
     /// Even seeds displace the moving object, odd ones the reference.
     pub fn new(seed: u64) -> Self {
-        let victim = if seed % 2 == 0 { Victim::Moving } else { Victim::Reference };
+        let victim = if seed.is_multiple_of(2) { Victim::Moving } else { Victim::Reference };
         Self { victim, seed, done: false }
     }
 

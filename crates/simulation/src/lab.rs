@@ -3,10 +3,11 @@
 use crate::arm;
 use crate::contacts::Contacts;
 use crate::controller::{Controller, ServoInputs, StopReason};
+use crate::draw::{Knowledge, Stream, rng};
 use crate::error::SimulationError;
 use crate::gripper::{Gripper, GripperRequest, GripperStatus};
 use crate::parts::Part;
-use crate::scene::{Knowledge, Scene, Stream, rng};
+use crate::scene::Scene;
 use crate::trial::{Judge, Observed, PlacingGoal, Verdict};
 use crate::visual::RobotMeshes;
 use crate::world::{Body, DT, World, WorldConfig};
@@ -198,7 +199,7 @@ impl Lab {
         self.world.step(self.controller.q());
         self.contacts = self.world.contacts();
         self.protect();
-        if self.world.ticks() % JUDGE_EVERY == 0 {
+        if self.world.ticks().is_multiple_of(JUDGE_EVERY) {
             self.look();
         }
     }

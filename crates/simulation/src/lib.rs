@@ -9,6 +9,7 @@ pub mod backdrop;
 pub mod contacts;
 pub mod controller;
 pub mod disturbance;
+mod draw;
 mod error;
 pub mod gripper;
 pub mod lab;

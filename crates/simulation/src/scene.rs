@@ -3,13 +3,13 @@
 use crate::controller::Generation;
 use crate::error::SimulationError;
 use crate::trial::{PlacingGoal, SuccessConfig};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use tdv_geometry::nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
-use tdv_geometry::{Pose, pose_from_xyz_rpy};
+use tdv_geometry::Pose;
+use tdv_geometry::nalgebra::Point3;
 use tdv_rendering::{Intrinsics, look_at};
+
+pub use crate::draw::Knowledge;
 
 /// A rectangle and a range of yaw to draw a start from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -203,36 +203,11 @@ pub struct Scene {
     #[serde(default = "default_objects")]
     pub objects_dir: PathBuf,
     #[serde(skip)]
-    path: PathBuf,
+    pub(crate) path: PathBuf,
 }
 
 fn default_objects() -> PathBuf {
     PathBuf::from("../objects")
-}
-
-/// What the robot's side is told, with the errors drawn from a seed.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Knowledge {
-    /// Factor on each object's mesh, in the scene's order.
-    pub mesh_scale: Vec<f64>,
-    /// `T_base_link_camera_color_optical_frame` as calibrated.
-    pub camera: Pose,
-    /// The camera's numbers as calibrated.
-    pub intrinsics: Intrinsics,
-}
-
-/// Separates the streams of random numbers, so that one more draw here moves nothing there.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Stream {
-    Starts = 1,
-    Knowledge = 2,
-    Disturbance = 3,
-}
-
-pub(crate) fn rng(seed: u64, stream: Stream) -> ChaCha8Rng {
-    let mut r = ChaCha8Rng::seed_from_u64(seed);
-    r.set_stream(stream as u64);
-    r
 }
 
 impl Scene {
@@ -307,15 +282,19 @@ impl Scene {
                             ),
                         );
                     }
-                    let area = (r.x[1] - r.x[0]) * (r.y[1] - r.y[0]);
-                    let disc = std::f64::consts::PI * e.radius * e.radius;
-                    if !(e.radius >= 0.0) || disc > 0.2 * area {
+                    if !e.radius.is_finite() || e.radius < 0.0 {
+                        return bad(field, "excludes a disc whose radius is no length".into());
+                    }
+                    let around = earlier.iter().find_map(|o| match &o.start {
+                        Placement::Spot(s) if o.name == e.object => Some(s.xy),
+                        _ => None,
+                    });
+                    let share = around.map_or(0.0, |xy| excluded_share(r, e.radius, xy));
+                    if share > 0.10 {
+                        let percent = 100.0 * share;
                         return bad(
                             field,
-                            format!(
-                                "excludes {:.0} % of its region; at most 20 % (a tenth of what is cut off at the rim) is fair",
-                                100.0 * disc / area
-                            ),
+                            format!("excludes {percent:.1} % of its region; at most 10 % is fair"),
                         );
                     }
                 }
@@ -347,123 +326,49 @@ impl Scene {
         }
         Ok(())
     }
-
-    /// Start poses of all objects (`T_base_link_object`), standing on the table. They are drawn before
-    /// anybody asks whether the arm can reach them.
-    ///
-    /// # Errors
-    /// [`SimulationError::Value`] when a region has no point outside its excluded disc.
-    pub fn draw_starts(&self, seed: u64) -> Result<Vec<Pose>, SimulationError> {
-        let mut rng = rng(seed, Stream::Starts);
-        let mut poses: Vec<Pose> = Vec::with_capacity(self.objects.len());
-        for (i, object) in self.objects.iter().enumerate() {
-            let pose = match &object.start {
-                Placement::Spot(s) => {
-                    let x = s.xy[0] + s.jitter * rng.random_range(-1.0..=1.0);
-                    let y = s.xy[1] + s.jitter * rng.random_range(-1.0..=1.0);
-                    let yaw = s.yaw_deg + s.jitter_deg * rng.random_range(-1.0..=1.0);
-                    Some(standing(x, y, yaw))
-                }
-                Placement::Region(r) => {
-                    let disc = r.exclude.as_ref().and_then(|e| {
-                        let at = self.objects.iter().position(|o| o.name == e.object)?;
-                        Some((poses.get(at)?.translation, e.radius))
-                    });
-                    (0..10_000).find_map(|_| {
-                        let x = rng.random_range(r.x[0]..=r.x[1]);
-                        let y = rng.random_range(r.y[0]..=r.y[1]);
-                        let yaw = rng.random_range(r.yaw_deg[0]..=r.yaw_deg[1]);
-                        let free = disc.is_none_or(|(c, d)| (x - c.x).hypot(y - c.y) >= d);
-                        free.then(|| standing(x, y, yaw))
-                    })
-                }
-            };
-            poses.push(pose.ok_or_else(|| SimulationError::Value {
-                path: self.path.clone(),
-                field: format!("objects[{i}] ({})", object.name),
-                reason: "has no point outside its excluded disc".into(),
-            })?);
-        }
-        Ok(poses)
-    }
-
-    /// What the robot's side is told: never the exact numbers.
-    pub fn draw_knowledge(&self, seed: u64) -> Knowledge {
-        let mut rng = rng(seed, Stream::Knowledge);
-        let e = self.errors;
-        let mut off = |bound: f64| bound * rng.random_range(-1.0..=1.0);
-        let mesh_scale = self.objects.iter().map(|_| 1.0 + off(e.mesh_scale)).collect();
-        let k = self.camera.intrinsics;
-        let intrinsics = Intrinsics {
-            fx: k.fx * (1.0 + off(e.intrinsics)),
-            fy: k.fy * (1.0 + off(e.intrinsics)),
-            cx: k.cx + off(e.intrinsics) * 0.5 * f64::from(k.width),
-            cy: k.cy + off(e.intrinsics) * 0.5 * f64::from(k.height),
-            ..k
-        };
-        // Drawn in the ball, so that the stated bound holds for the length and the angle.
-        let mut ball = |bound: f64| {
-            let v = Vector3::new(off(1.0), off(1.0), off(1.0));
-            v * (bound / v.norm().max(1.0))
-        };
-        let shift = Translation3::from(ball(e.extrinsics));
-        let turn = UnitQuaternion::from_scaled_axis(ball(e.extrinsics_deg.to_radians()));
-        let camera = self.camera.pose() * Pose::from_parts(shift, turn);
-        Knowledge { mesh_scale, camera, intrinsics }
-    }
 }
 
-fn standing(x: f64, y: f64, yaw_deg: f64) -> Pose {
-    pose_from_xyz_rpy([x, y, 0.0], [0.0, 0.0, yaw_deg.to_radians()])
+/// Share of the region's area that its excluded disc takes, the disc being around (`x`, `y`).
+fn excluded_share(region: &StartRegion, radius: f64, [x, y]: [f64; 2]) -> f64 {
+    const CELLS: usize = 400;
+    let at = |[low, high]: [f64; 2], k: usize| low + (high - low) * (k as f64 + 0.5) / CELLS as f64;
+    let inside = (0..CELLS * CELLS)
+        .filter(|k| {
+            let (u, v) = (at(region.x, k % CELLS), at(region.y, k / CELLS));
+            (u - x).hypot(v - y) < radius
+        })
+        .count();
+    inside as f64 / (CELLS * CELLS) as f64
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tdv_geometry::pose_distance;
+    use tdv_geometry::pose_from_xyz_rpy;
 
-    fn scene() -> Scene {
-        let path =
-            Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/scenes/cup_on_coaster.yaml");
-        Scene::load(&path).unwrap()
+    fn all() -> Vec<Scene> {
+        let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/scenes");
+        let files = std::fs::read_dir(dir).unwrap().map(|e| e.unwrap().path());
+        files.map(|p| Scene::load(&p).unwrap()).collect()
     }
 
     #[test]
-    fn starts_fill_the_region_and_spare_the_disc() {
-        let s = scene();
-        let (mut low, mut high) = ([f64::MAX; 2], [f64::MIN; 2]);
-        for seed in 0..400 {
-            let p = s.draw_starts(seed).unwrap();
-            assert_eq!(p, s.draw_starts(seed).unwrap());
-            let (mug, coaster) = (p[s.index_of("mug").unwrap()], p[s.index_of("coaster").unwrap()]);
-            let (x, y) = (mug.translation.x, mug.translation.y);
-            assert!((0.25..=0.70).contains(&x) && (-0.25..=0.25).contains(&y));
-            assert!((x - coaster.translation.x).hypot(y - coaster.translation.y) >= 0.11);
-            low = [low[0].min(x), low[1].min(y)];
-            high = [high[0].max(x), high[1].max(y)];
+    fn the_scenes_are_in_order() {
+        let scenes = all();
+        assert!(scenes.len() >= 2);
+        for s in scenes {
+            let frames = crate::arm::link_frames(&s.robot.home);
+            let tcp = frames[6] * Pose::translation(0.0, 0.0, crate::gripper::TCP_OFFSET);
+            let want = pose_from_xyz_rpy([0.40, 0.0, 0.35], [std::f64::consts::PI, 0.0, 0.0]);
+            let (d, a) = tdv_geometry::pose_distance(&tcp, &want);
+            assert!(d < 1e-3 && a < 1e-3, "{}: home is off by {d} m, {a} rad", s.name);
         }
-        assert!(high[0] - low[0] > 0.44 && high[1] - low[1] > 0.49);
-    }
-
-    #[test]
-    fn knowledge_is_off_within_the_bounds_and_never_exact() {
-        let s = scene();
-        let (mut far, mut turned): (f64, f64) = (0.0, 0.0);
-        for seed in 0..200 {
-            let k = s.draw_knowledge(seed);
-            let (d, a) = pose_distance(&k.camera, &s.camera.pose());
-            assert!(d > 0.0 && d <= 0.003 + 1e-12, "{d}");
-            assert!(a > 0.0 && a <= 0.5_f64.to_radians() + 1e-9, "{a}");
-            (far, turned) = (far.max(d), turned.max(a));
-            assert!(k.mesh_scale.iter().all(|f| (f - 1.0).abs() <= 0.01 && *f != 1.0));
-            assert!((k.intrinsics.fx / s.camera.intrinsics.fx - 1.0).abs() <= 0.005);
-        }
-        assert!(far > 0.0025 && turned > 0.4_f64.to_radians());
     }
 
     #[test]
     fn bad_scenes_are_named() {
-        let good = std::fs::read_to_string(scene().path()).unwrap();
+        let scene = all().into_iter().find(|s| s.name == "cup_on_coaster").unwrap();
+        let good = std::fs::read_to_string(scene.path()).unwrap();
         let path = Path::new("scene.yaml");
         for (from, to, word) in [
             ("moving: mug", "moving: cup", "cup"),

@@ -8,7 +8,7 @@ use tdv_bag::{BagMessage, BagReader, ReplaySchedule};
 use tdv_geometry::Stamp;
 use tdv_msgs::RawMessage;
 use tdv_msgs::rosgraph_msgs::msg::Clock as ClockMessage;
-use tdv_runtime::{Inbox, Level, Node, Params, Publisher, Qos, convert_time};
+use tdv_runtime::{Inbox, Level, Node, Params, Publisher, Qos, convert};
 
 /// Types that a camera driver publishes; the default selection.
 const CAMERA_TYPES: [&str; 3] =
@@ -164,7 +164,7 @@ impl Replay {
             }
         }
         if let Some(clock) = &self.clock {
-            clock.publish(ClockMessage { clock: convert_time(bag_time) });
+            clock.publish(ClockMessage { clock: convert::time_from_stamp(bag_time) });
         }
         output.publisher.publish(raw);
         Ok(())

@@ -69,7 +69,7 @@ pub async fn perceive(node: Node, params: Params<BridgeParameters>) -> anyhow::R
         bail!("'objects_dir' {} holds no object", p.objects_dir);
     }
     let (sender, pairs) = inbox(if p.every_frame { 256 } else { 1 });
-    subscribe_images(&node, &p, &sender)?;
+    subscribe_images(&node, &p, sender)?;
     let again = Arc::new(AtomicBool::new(false));
     let flag = again.clone();
     node.service::<Trigger, _, _>("~/reregister", move |_request| {
@@ -96,10 +96,10 @@ pub async fn perceive(node: Node, params: Params<BridgeParameters>) -> anyhow::R
     Ok(())
 }
 
-fn subscribe_images(node: &Node, p: &BridgeParameters, sender: &Sender<Pair>) -> anyhow::Result<()> {
+fn subscribe_images(node: &Node, p: &BridgeParameters, sender: Sender<Pair>) -> anyhow::Result<()> {
     let pairing: SharedPairing = Arc::new(Mutex::new(Pairing::new(p.sync_tolerance)));
     let deliver = {
-        let sender = sender.clone();
+        let sender = Arc::new(sender);
         let diagnostics = node.diagnostics().clone();
         move |stamp: Stamp, frame_id: &str, pair: Option<(ColorMessage, DepthMessage)>, dropped: u64| {
             diagnostics.set("unpaired_images", dropped);

@@ -58,7 +58,8 @@ impl Parameters for DriverParameters {
                 problems.push(format!("'{name}' is {value}: 0 to 255"));
             }
         }
-        problems.extend(self.limits.validate().err().into_iter().map(|e| format!("'limits': {e}")));
+        let limits = self.limits.validate().err().unwrap_or_default();
+        problems.extend(limits.into_iter().map(|e| format!("'limits': {e}")));
         problems
     }
 

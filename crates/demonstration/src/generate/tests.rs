@@ -151,8 +151,9 @@ fn the_gripper_comes_from_above_and_never_sweeps_the_mug() {
             assert!(p.translation.z > 0.05);
         }
         // The last 5 cm are straight down, turned as in the grasp.
-        let low = t.poses().filter(|p| p.translation.z < goal.translation.z + 0.05);
-        assert!(low.clone().count() > 8);
+        let low: Vec<_> =
+            t.poses().filter(|p| p.translation.z < goal.translation.z + 0.05).collect();
+        assert!(low.len() > 8);
         for p in low {
             assert!((p.translation.vector - goal.translation.vector).xy().norm() < 1e-6);
             assert!(p.rotation.angle_to(&goal.rotation) < 1e-6);

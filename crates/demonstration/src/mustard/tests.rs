@@ -39,7 +39,7 @@ fn the_real_recording_becomes_a_demonstration() {
     let (first, last) = (place.trajectory.first().pose, place.trajectory.last().pose);
     assert!(up(&first) < 1e-7 && up(&last) < 1e-7);
     assert!(first.translation.z.abs() < 1e-9);
-    assert!((last.translation.z - 0.092).abs() < 1e-9);
+    assert!((last.translation.z - 0.006).abs() < 1e-9);
     assert!(last.translation.vector.xy().norm() < 0.01);
     assert!(tdv_geometry::yaw_of(&last.rotation).abs() < 3f64.to_radians());
 

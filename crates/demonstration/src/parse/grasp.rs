@@ -6,7 +6,7 @@ use super::{GraspChange, ParseConfig, ParseReport, RepairKind, timed};
 use crate::filter::{Sample, robust_mean, smooth};
 use crate::keyframe::Keyframes;
 use crate::{DemonstrationError, GraspConfig, Remapped, Task, canonical_tool};
-use tdv_geometry::nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use tdv_geometry::nalgebra::{UnitQuaternion, Vector3};
 use tdv_geometry::{Pose, PoseTrajectory};
 
 pub(super) fn tool_samples(
@@ -161,7 +161,7 @@ fn fit(
     }
     z = (z - y * z.dot(&y)).normalize();
     change.approach_deg = z.angle(&approach).to_degrees();
-    let rotation = UnitQuaternion::from_matrix(&Matrix3::from_columns(&[y.cross(&z), y, z]));
+    let rotation = crate::path::from_axes(&y.cross(&z), &y, &z);
 
     let mut p = pose.translation.vector;
     if config.centre {
@@ -258,8 +258,10 @@ mod tests {
     #[test]
     fn a_side_grasp_across_the_broad_side_becomes_one_from_above() {
         // approach +y, closing +x, 30 mm off the axis
-        let m = Matrix3::from_columns(&[Vector3::z(), Vector3::x(), Vector3::y()]);
-        let pose = Pose::from_parts([0.03, -0.02, 0.01].into(), UnitQuaternion::from_matrix(&m));
+        let pose = Pose::from_parts(
+            [0.03, -0.02, 0.01].into(),
+            crate::path::from_axes(&Vector3::z(), &Vector3::x(), &Vector3::y()),
+        );
         let (g, width, change) = fit(&pose, &config()).unwrap();
         assert_eq!(width, Some(0.063));
         assert!((g.rotation * Vector3::z() + Vector3::z()).norm() < 1e-9);

@@ -66,8 +66,8 @@ pub struct HandObservation {
     pub score: f64,
     /// Whose hand.
     pub handedness: Handedness,
-    /// How many joints the depth image confirms; the others follow from the hand's shape.
-    pub measured_joints: usize,
+    /// Which joints the depth image confirms; the others follow from the hand's shape.
+    pub measured: [bool; JOINTS],
 }
 
 /// Why a frame could not be searched.
@@ -170,7 +170,7 @@ impl HandDetector {
             pixels: landmarks.pixels,
             score: landmarks.presence,
             handedness: landmarks.handedness,
-            measured_joints: lifted.measured,
+            measured: lifted.measured,
         }))
     }
 

@@ -7,7 +7,7 @@ use rand_chacha::rand_core::{RngCore, SeedableRng};
 use tdv_rendering::{DepthImage, Intrinsics};
 
 use super::landmark::JOINTS;
-use super::lift::{BONES, HALF_THICKNESS};
+use super::lift::{HALF_THICKNESS, PARENT};
 
 pub(super) const K: Intrinsics =
     Intrinsics { width: 640, height: 480, fx: 610.0, fy: 610.0, cx: 319.5, cy: 239.5 };
@@ -65,11 +65,13 @@ impl Scene {
         // The forearm goes on from the wrist, away from the middle finger.
         let wrist = truth[0].coords;
         let elbow = wrist + (wrist - truth[9].coords).normalize() * 0.2;
-        let mut capsules: Vec<Capsule> = BONES
-            .iter()
+        let knuckles = [(9, 5), (13, 9), (17, 13)];
+        let mut capsules: Vec<Capsule> = (1..JOINTS)
+            .map(|joint| (joint, PARENT[joint]))
+            .chain(knuckles)
             .map(|(a, b)| Capsule {
-                ends: (truth[*a].coords, truth[*b].coords),
-                radii: (HALF_THICKNESS[*a] * size, HALF_THICKNESS[*b] * size),
+                ends: (truth[a].coords, truth[b].coords),
+                radii: (HALF_THICKNESS[a] * size, HALF_THICKNESS[b] * size),
             })
             .collect();
         capsules.push(Capsule {

@@ -63,7 +63,7 @@ impl Window {
             return;
         }
         let step = self.side / size as f64;
-        let taps = (step.round() as usize).clamp(1, 4);
+        let taps = (step.round() as usize).clamp(1, 3);
         let scale = 1.0 / (255.0 * (taps * taps) as f32);
         let (right, down) = (self.turn(step, 0.0), self.turn(0.0, step));
         let origin = self.to_image(0.0, 0.0);

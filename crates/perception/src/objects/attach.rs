@@ -14,17 +14,18 @@ pub struct AttachConfig {
     pub outlier: f64,
     /// Part of a later, agreeing observation that is taken in (the object may creep in the fingers).
     pub rate: f64,
-    /// Distance (m) and angle (rad) between carried and seen pose that count as slipped.
+    /// Distance (m) between carried and seen pose that counts as slipped.
     pub slip: f64,
-    /// See `slip`.
-    pub slip_angle: f64,
+    /// Angle (rad) beyond which an observation is ignored: half hidden in the gripper an object is
+    /// likelier to be misread than to have turned.
+    pub max_angle: f64,
     /// Frames in a row with such a difference before it counts.
     pub slip_frames: u32,
 }
 
 impl Default for AttachConfig {
     fn default() -> Self {
-        Self { frames: 8, outlier: 0.015, rate: 0.03, slip: 0.05, slip_angle: 0.9, slip_frames: 10 }
+        Self { frames: 8, outlier: 0.015, rate: 0.03, slip: 0.05, max_angle: 0.5, slip_frames: 10 }
     }
 }
 
@@ -49,8 +50,11 @@ impl Attachment {
         if let Some(last) = &self.pose {
             t = symmetry.nearest(&t, &last.rotation);
             let (d, a) = pose_distance(&t, last);
-            if d > self.config.slip || a > self.config.slip_angle {
+            if d > self.config.slip {
                 self.off += 1;
+                return;
+            }
+            if a > self.config.max_angle {
                 return;
             }
         }

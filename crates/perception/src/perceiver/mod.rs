@@ -30,6 +30,8 @@ pub struct PerceiverConfig {
     pub min_fit: f64,
     /// Clusters that are registered per object and attempt.
     pub candidates: usize,
+    /// Score below which an ambiguous first pose is not taken.
+    pub ambiguous_below: f64,
     /// Frames between two attempts to find a missing object (an attempt takes several frame times).
     pub retry_frames: u32,
     /// Confidence below which a tracked pose counts as bad.
@@ -47,6 +49,7 @@ impl Default for PerceiverConfig {
             tracker: TrackerConfig::default(),
             min_fit: 0.08,
             candidates: 3,
+            ambiguous_below: 0.75,
             retry_frames: 10,
             lost_below: 0.35,
             lost_frames: 8,
@@ -403,6 +406,10 @@ fn find(
         }
     }
     match best {
+        Some((_, r)) if r.ambiguous() && r.score < config.ambiguous_below => Err(format!(
+            "{}: two orientations fit equally badly ({:.2}, {:.2}); too much of it is hidden",
+            model.name, r.score, r.second
+        )),
         Some((_, r)) if r.score >= config.register.min_score => Ok(r),
         Some((_, r)) => Err(format!(
             "no {} seen: the likeliest thing on the table matches its shape with {:.2}, {:.2} needed",

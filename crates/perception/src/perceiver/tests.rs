@@ -52,20 +52,21 @@ fn mug_and_coaster_are_found_with_the_right_yaw() {
     assert!(worst.1 < 0.006 && worst.2 < 0.006 && worst.3 < 4.0, "{worst:?}");
 }
 
+/// Two fingers on both sides of the mug and the palm above it, about a 2F-85, in the mug's frame.
+fn gripper() -> tdv_rendering::Mesh {
+    let at = |size: [f64; 3], xyz: [f64; 3]| {
+        primitives::cuboid(size, [70, 70, 72]).transformed(&pose_from_xyz_rpy(xyz, [0.0; 3]))
+    };
+    let mut g = at([0.022, 0.014, 0.11], [0.0, 0.039, 0.10]);
+    g.append(&at([0.022, 0.014, 0.11], [0.0, -0.039, 0.10]));
+    g.append(&at([0.075, 0.10, 0.10], [0.0, 0.0, 0.205]));
+    g
+}
+
 #[test]
 fn a_carried_mug_is_followed_behind_a_partial_occluder() {
     let (mug, coaster) = (mug_model(), coaster_model());
-    // Two fingers and a palm above the rim, grey like a gripper.
-    let mut gripper = primitives::cuboid([0.022, 0.03, 0.06], [60, 60, 62])
-        .transformed(&pose_from_xyz_rpy([0.0, 0.045, 0.075], [0.0; 3]));
-    gripper.append(
-        &primitives::cuboid([0.022, 0.03, 0.06], [60, 60, 62])
-            .transformed(&pose_from_xyz_rpy([0.0, -0.045, 0.075], [0.0; 3])),
-    );
-    gripper.append(
-        &primitives::cuboid([0.07, 0.13, 0.10], [90, 90, 95])
-            .transformed(&pose_from_xyz_rpy([0.0, 0.0, 0.16], [0.0; 3])),
-    );
+    let gripper = gripper();
     let mut lab = Lab::new(5);
     let mut p = perceiver(PROMPT);
     let disc = upright(0.45, -0.22, 0.0, 0.0);

@@ -2,7 +2,7 @@
 
 use crate::catalogue::ObjectModel;
 use crate::table::TablePlane;
-use nalgebra::{Matrix3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Rotation3, Unit, UnitQuaternion, Vector3};
 use std::f64::consts::{FRAC_PI_3, TAU};
 
 /// The 42 corners of an icosahedron divided once, unit vectors.
@@ -37,7 +37,8 @@ pub(crate) fn general(model: &ObjectModel) -> Vec<UnitQuaternion<f64>> {
         // The camera stands at v and looks at the origin.
         let z = -v;
         let x = Vector3::z().cross(&z).try_normalize(1e-6).unwrap_or_else(Vector3::x);
-        let camera = UnitQuaternion::from_matrix(&Matrix3::from_columns(&[x, z.cross(&x), z]));
+        let axes = Matrix3::from_columns(&[x, z.cross(&x), z]);
+        let camera = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
         for turn in 0..6 {
             let roll =
                 UnitQuaternion::from_axis_angle(&Vector3::z_axis(), FRAC_PI_3 * f64::from(turn));

@@ -49,6 +49,9 @@ pub struct TrackerConfig {
     pub learning_rate: f32,
     /// How much nearer (m, for a surface 1 m away) something must be to hide it.
     pub occluder_margin: f64,
+    /// Part of the surface that must be visible for the pose to be changed at all: what peeps out behind
+    /// a hand or a gripper does not tell six numbers, and following it leads astray.
+    pub min_visible: f64,
     /// Confidence below which colours are not learnt.
     pub learn_above: f64,
 }
@@ -59,14 +62,15 @@ impl Default for TrackerConfig {
             lines: 140,
             points: 200,
             scales: vec![6, 4, 2, 1],
-            region_sigma_px: vec![15.0, 5.0, 3.5, 1.5],
-            depth_reach: vec![0.05, 0.03, 0.015, 0.01],
-            depth_sigma: vec![0.05, 0.03, 0.02, 0.02],
+            region_sigma_px: vec![15.0, 7.0, 4.0, 2.0],
+            depth_reach: vec![0.04, 0.025, 0.015, 0.01],
+            depth_sigma: vec![0.05, 0.03, 0.015, 0.008],
             updates: 2,
             rotation_damping: 1000.0,
             translation_damping: 30000.0,
             learning_rate: 0.2,
             occluder_margin: 0.016,
+            min_visible: 0.2,
             learn_above: 0.6,
         }
     }
@@ -176,6 +180,11 @@ impl Tracker {
         self.pose = self.model.nearest(&self.pose, &before.rotation);
         self.draw(frame, with_depth);
         let mut quality = self.measure(frame);
+        if with_depth && quality.visible < self.config.min_visible {
+            self.pose = before;
+            self.draw(frame, with_depth);
+            quality = self.measure(frame);
+        }
         if !with_depth {
             // Judged by the last depth image that there was.
             quality.agreement = self.last.agreement;

@@ -11,7 +11,7 @@ use crate::{PolicyConfig, PolicyError, TrainConfig, TrainingSet};
 use rand::Rng;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
-use tdv_geometry::{Stamp, pose_distance};
+use tdv_geometry::{Pose, Stamp, pose_distance};
 
 /// How the classifier is trained.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -25,7 +25,8 @@ pub struct SwitchTrainConfig {
     pub learning_rate: f64,
     /// Weight of a positive sample against a negative one in the loss.
     pub positive_weight: f64,
-    /// The last samples of a trajectory that count as done.
+    /// How many samples before and including the arrival (from which on the pose stays within 1 mm
+    /// and 0.5 degrees of its end) count as done, as all later ones do.
     pub window: usize,
     /// Samples of rest after the end, done as well.
     pub hold_samples: usize,
@@ -87,7 +88,7 @@ pub struct SwitchReport {
     pub missed: usize,
     /// Trajectories on which it fired farther than 15 mm or 10 degrees from the end.
     pub premature: usize,
-    /// Median time from the last sample to the firing (s); negative is early.
+    /// Median time from the arrival to the firing (s); negative is early.
     pub median_delay: f64,
     /// Largest distance from the end when it fired (m).
     pub max_distance: f64,
@@ -119,6 +120,11 @@ pub fn train_switch(
         return Err(PolicyError::Data { reason });
     }
     let normalisers = set.normalisers()?;
+    let ends: Vec<Vec<usize>> = set
+        .procedures
+        .iter()
+        .map(|p| p.trajectories.iter().map(|t| arrival(t)).collect())
+        .collect();
     let text = set.text_embedding.as_deref();
     let layout = SwitchLayout::new(policy.history, text.map_or(0, <[f32]>::len), normalisers.len());
     let mut rng = stream(t.seed, Stream::Switch);
@@ -135,15 +141,16 @@ pub fn train_switch(
         for i in 0..t.batch {
             let s = rng.random_range(0..set.procedures.len());
             let trajectories = &set.procedures[s].trajectories;
-            let poses = loop {
+            let j = loop {
                 let j = rng.random_range(0..trajectories.len());
                 if j % t.hold_out != 0 {
-                    break &trajectories[j];
+                    break j;
                 }
             };
+            let poses = &trajectories[j];
             let position = rng.random_range(0..poses.len() + t.hold_samples);
             ids[i] = s;
-            done[i] = position + t.window >= poses.len();
+            done[i] = position + t.window > ends[s][j];
             let jitter = if noise.time_jitter > 0.0 {
                 1.0 + rng.random_range(-noise.time_jitter..noise.time_jitter)
             } else {
@@ -205,6 +212,17 @@ pub fn train_switch(
     Ok((trained, report))
 }
 
+/// The sample from which on a trajectory stays within 1 mm and 0.5 degrees of its end; what comes
+/// after it may be rest.
+fn arrival(poses: &[Pose]) -> usize {
+    let Some(end) = poses.last() else { return 0 };
+    let away = poses.iter().rposition(|p| {
+        let (d, a) = pose_distance(p, end);
+        d > 0.001 || a > 0.5f64.to_radians()
+    });
+    away.map_or(0, |i| i + 1)
+}
+
 /// Runs the machine along the trajectories that were kept aside.
 fn evaluate(
     policy: &mut SwitchPolicy,
@@ -229,6 +247,7 @@ fn evaluate(
     for (s, data) in set.procedures.iter().enumerate() {
         for poses in data.trajectories.iter().step_by(t.hold_out) {
             report.trajectories += 1;
+            let end = arrival(poses);
             let mut core = SwitchCore::new(set.procedures.len(), SwitchConfig::default())?;
             core.start_at(s, Stamp(0));
             let mut history: VecDeque<_> = VecDeque::new();
@@ -242,14 +261,14 @@ fn evaluate(
                 history.pop_front();
                 history.push_back(seen);
                 let p = policy.probability(s, history.make_contiguous())?;
-                let done = i + t.window >= poses.len();
+                let done = i + t.window > end;
                 hit += usize::from(done && p > 0.5);
                 false_alarm += usize::from(!done && p > 0.5);
                 overlooked += usize::from(done && p <= 0.5);
                 let state = core.step(Stamp::from_secs((i + 1) as f64 * set.dt), p, &seen);
                 if state.switched && !fired {
                     fired = true;
-                    delays.push((i as f64 - (poses.len() - 1) as f64) * set.dt);
+                    delays.push((i as f64 - end as f64) * set.dt);
                     let (d, a) = pose_distance(&clean, &poses[poses.len() - 1]);
                     report.premature += usize::from(d > 0.015 || a > 10f64.to_radians());
                     report.max_distance = report.max_distance.max(d);

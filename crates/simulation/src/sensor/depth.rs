@@ -230,9 +230,9 @@ struct Noise {
     lost_above: f32,
 }
 
-/// Whole millimetres.
+/// Whole millimetres. (A cast truncates; `round` is a library call on the baseline processor.)
 fn quantise(z: f32) -> f32 {
-    (z * 1000.0).round() / 1000.0
+    (z * 1000.0 + 0.5) as i32 as f32 / 1000.0
 }
 
 /// The value that a standard normal number exceeds in size with the given probability.

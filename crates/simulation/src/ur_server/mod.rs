@@ -62,6 +62,9 @@ struct RtdeClient {
 /// A dashboard command on its way to the lab's loop and where the answer goes.
 type DashboardRequest = (Command, SyncSender<String>);
 
+/// What a connection's thread does.
+type Serve = fn(TcpStream, &Arc<Shared>);
+
 /// What all threads share.
 struct Shared {
     stop: AtomicBool,
@@ -119,7 +122,7 @@ impl UrServer {
             let at = listener.local_addr().map_err(fail)?;
             Ok::<_, SimulationError>((listener, at))
         };
-        let servers: [(_, fn(TcpStream, &Arc<Shared>)); 3] = [
+        let servers: [(_, Serve); 3] = [
             (open("the RTDE server", config.rtde)?, rtde::serve),
             (open("the gripper server", config.gripper)?, gripper::serve),
             (open("the dashboard server", config.dashboard)?, dashboard::serve),
@@ -185,7 +188,7 @@ impl Drop for UrServer {
     }
 }
 
-fn accept(listener: &TcpListener, shared: &Arc<Shared>, serve: fn(TcpStream, &Arc<Shared>)) {
+fn accept(listener: &TcpListener, shared: &Arc<Shared>, serve: Serve) {
     let mut connections: Vec<JoinHandle<()>> = Vec::new();
     while !shared.stopped() {
         match listener.accept() {
