@@ -101,7 +101,7 @@ fn pack(p: &Pose) -> [f64; 7] {
 /// Exact inverse of [`pack`]: no renormalisation, so that a file read back hashes the same.
 fn unpack(v: &[f64; 7]) -> Result<Pose, String> {
     let q = Quaternion::new(v[6], v[3], v[4], v[5]);
-    if !((q.norm() - 1.0).abs() < 1e-6) || !v.iter().all(|x| x.is_finite()) {
+    if !(1.0 - 1e-6..1.0 + 1e-6).contains(&q.norm()) || !v.iter().all(|x| x.is_finite()) {
         return Err(format!("{v:?} is not a pose x, y, z, qx, qy, qz, qw"));
     }
     Ok(Pose::from_parts(Translation3::new(v[0], v[1], v[2]), UnitQuaternion::new_unchecked(q)))

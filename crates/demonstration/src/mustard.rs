@@ -74,7 +74,7 @@ const CATALOGUE_XYZ: [f64; 3] = [-0.0011, -0.0022, -0.0839];
 /// ... and x along the long axis of the oval (rad), both measured on the mesh's vertices.
 const CATALOGUE_YAW: f64 = -0.300;
 
-/// Reads the recording and turns it into a demonstration of `task` (its moving object is the bottle of
+/// Reads the recording (the file, or the folder that holds it) and turns it into a demonstration of `task` (its moving object is the bottle of
 /// the catalogue, its reference object the disc).
 ///
 /// # Errors
@@ -85,6 +85,8 @@ pub fn import(
     task: &Task,
     options: &ImportOptions,
 ) -> Result<Imported, DemonstrationError> {
+    let inside = path.join("dexmv_mustard.json");
+    let path = if path.is_dir() { inside.as_path() } else { path };
     let text = file::read(path)?;
     let format = |reason| DemonstrationError::Format { path: path.to_path_buf(), reason };
     let raw: Recording = serde_json::from_str(&text).map_err(|e| format(e.to_string()))?;

@@ -188,17 +188,17 @@ impl Task {
                     p.push(format!("objects.{name}.{field} {v} m must be within 0.001..1 m"));
                 }
             }
-            if !(shape.bottom.abs() < 1.0) {
+            if !(-1.0..=1.0).contains(&shape.bottom) {
                 p.push(format!("objects.{name}.bottom {} m must be within +-1 m", shape.bottom));
             }
             if let Symmetry::Continuous { axis } = &shape.symmetry
-                && !(nalgebra::Vector3::from(*axis).norm() > 1e-6)
+                && !(1e-6..1e6).contains(&nalgebra::Vector3::from(*axis).norm())
             {
                 p.push(format!("objects.{name}.symmetry axis {axis:?} has no direction"));
             }
         }
         if let TargetYaw::Fixed(deg) = self.target_yaw
-            && !(deg.abs() <= 180.0)
+            && !(-180.0..=180.0).contains(&deg)
         {
             p.push(format!("target_yaw.fixed {deg} must be within -180..180 deg"));
         }

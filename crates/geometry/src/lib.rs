@@ -12,8 +12,9 @@ mod trajectory;
 
 pub use interpolation::{interpolate, min_jerk, smooth_step};
 pub use pose::{
-    GeometryError, Pose, pose_distance, pose_exp, pose_from_xyz_quat, pose_from_xyz_rpy, pose_log,
-    pose_to_xyz_quat, rotation_6d, rotation_from_6d, rotation_from_matrix, twist_arc, yaw_of,
+    GeometryError, Pose, exact_rotation, pose_distance, pose_exp, pose_from_xyz_quat,
+    pose_from_xyz_rpy, pose_log, pose_to_xyz_quat, rotation_6d, rotation_from_6d,
+    rotation_from_matrix, twist_arc, yaw_of,
 };
 pub use stamp::Stamp;
 pub use symmetry::Symmetry;

@@ -1,4 +1,4 @@
-use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
 use thiserror::Error;
 
 /// A rigid transform in f64, metres.
@@ -101,7 +101,12 @@ pub fn rotation_from_matrix(
             reason: "no singular value decomposition".into(),
         });
     };
-    Ok(UnitQuaternion::from_matrix(&(u * vt)))
+    Ok(exact_rotation(u * vt))
+}
+
+/// A rotation from a matrix that is one. (`UnitQuaternion::from_matrix` iterates and fails for half turns.)
+pub fn exact_rotation(m: Matrix3<f64>) -> UnitQuaternion<f64> {
+    UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(m))
 }
 
 /// Distance between two poses: metres, and radians of the geodesic rotation angle.
@@ -138,7 +143,7 @@ pub fn rotation_from_6d(v: &[f64; 6]) -> UnitQuaternion<f64> {
     }
     let y = y.normalize();
     let z = x.cross(&y);
-    UnitQuaternion::from_matrix(&Matrix3::from_columns(&[x, y, z]))
+    exact_rotation(Matrix3::from_columns(&[x, y, z]))
 }
 
 /// Twist `[v, w]` (m, rad) with `pose = (v, exp(w))`: translation and rotation taken apart, not the
@@ -178,6 +183,14 @@ mod tests {
         }
         for v in [[0.0; 6], [1.0, 0.0, 0.0, 2.0, 0.0, 0.0]] {
             assert!((rotation_from_6d(&v).norm() - 1.0).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn half_turns_survive_the_round_trip() {
+        for yaw in 0..360 {
+            let down = pose_from_xyz_rpy([0.0; 3], [PI, 0.0, f64::from(yaw).to_radians()]).rotation;
+            assert!(rotation_from_6d(&rotation_6d(&down)).angle_to(&down) < 1e-7, "yaw {yaw}");
         }
     }
 

@@ -63,7 +63,7 @@ impl Symmetry {
                             continue;
                         }
                         let m = nalgebra::Matrix3::from_columns(&[x, y, x.cross(&y)]);
-                        let r = UnitQuaternion::from_matrix(&m);
+                        let r = crate::exact_rotation(m);
                         if r.angle() > 1e-6 {
                             out.push(r);
                         }
@@ -119,6 +119,9 @@ mod tests {
     fn a_cube_has_24_rotations() {
         let all = Symmetry::Cube.rotations();
         assert_eq!(all.len(), 24);
+        for (i, a) in all.iter().enumerate() {
+            assert!(all[..i].iter().all(|b| a.angle_to(b) > 1.0), "rotation {i} comes twice");
+        }
         let a = pose_from_xyz_rpy([0.0; 3], [0.0, 0.0, std::f64::consts::FRAC_PI_2 + 0.1]);
         assert!((Symmetry::Cube.distance(&a, &Pose::identity()).1 - 0.1).abs() < 1e-9);
     }

@@ -249,6 +249,13 @@ mod tests {
             let t = follow_table(&map, &K, &t, &TableConfig::default()).unwrap();
             assert!(t.normal.angle(&moved) < 0.004, "{t:?}");
         }
-        assert!(detect_table(&PointMap::new(&frame(-Vector3::z(), 0.0), 2), &K, &TableConfig::default()).is_none());
+        assert!(
+            detect_table(
+                &PointMap::new(&frame(-Vector3::z(), 0.0), 2),
+                &K,
+                &TableConfig::default()
+            )
+            .is_none()
+        );
     }
 }

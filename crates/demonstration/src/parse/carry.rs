@@ -188,7 +188,7 @@ fn set_down(path: &mut Vec<Pose>, report: &mut ParseReport) {
         return;
     }
     let reversed: Vec<Pose> = path.iter().rev().copied().collect();
-    let (mut held, done) = lift_first(&reversed, SET_DOWN, 0.5);
+    let (mut held, done) = lift_first(&reversed, SET_DOWN, 0.3);
     if done.is_none() {
         return;
     }

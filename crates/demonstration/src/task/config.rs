@@ -14,7 +14,7 @@ fn range(p: &mut Vec<String>, name: &str, r: [f64; 2], min: f64, max: f64) {
 }
 
 fn within(p: &mut Vec<String>, name: &str, v: f64, min: f64, max: f64) {
-    if !(v >= min && v <= max) {
+    if !(min..=max).contains(&v) {
         p.push(format!("{name} {v} must be within {min}..{max}"));
     }
 }
@@ -103,7 +103,7 @@ impl GraspConfig {
             p.push(format!("grasp.height {h:?} must be [low, high] within +-1 m"));
         }
         for (i, c) in self.closing.iter().enumerate() {
-            if !(Vector3::from(c.axis).norm() > 1e-6) {
+            if !(1e-6..1e6).contains(&Vector3::from(c.axis).norm()) {
                 p.push(format!("grasp.closing[{i}].axis {:?} has no direction", c.axis));
             }
             positive(p, &format!("grasp.closing[{i}].width"), c.width, 1.0);

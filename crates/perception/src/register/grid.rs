@@ -47,9 +47,7 @@ pub(crate) fn general(model: &ObjectModel) -> Vec<UnitQuaternion<f64>> {
                 tdv_geometry::Pose::from_parts(nalgebra::Translation3::identity(), *r)
             };
             let new = !distinct
-                || out
-                    .iter()
-                    .all(|o| model.distance(&pose(&r), &pose(o)).1 > 25f64.to_radians());
+                || out.iter().all(|o| model.distance(&pose(&r), &pose(o)).1 > 25f64.to_radians());
             if new {
                 out.push(r);
             }

@@ -17,7 +17,8 @@ fn rows<'a>(
     // The last row may lack its padding.
     let need = match u64::from(image.height) {
         0 => 0,
-        height => step.max(row) * (height - 1) + row,
+        // Sizes come from outside: they may be anything.
+        height => step.max(row).saturating_mul(height - 1).saturating_add(row),
     };
     if step < row || (image.data.len() as u64) < need || row == 0 || image.height == 0 {
         return Err(ConvertError::Size {
