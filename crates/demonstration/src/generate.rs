@@ -93,11 +93,7 @@ pub fn generate_with(
     for (index, procedure) in demo.procedures.iter().enumerate() {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(index as u64);
-        let maker: Box<dyn Maker> = if procedure.name == "reach" {
-            Box::new(reach::Reach::new(demo, task, procedure, &mut rng)?)
-        } else {
-            Box::new(path_task::PathTask::new(demo, task, procedure, &mut rng, &mut report.notes)?)
-        };
+        let maker = maker(demo, task, procedure, &mut rng, &mut report.notes)?;
         let (set, procedure_report) =
             run(maker, procedure, config, count, &mut rng, options.reachable)?;
         procedures.push(set);
@@ -117,6 +113,62 @@ pub fn generate_with(
         procedures,
     };
     Ok((dataset, report))
+}
+
+/// The one demonstrated trajectory of a procedure bent to one start (canonical `T_reference_moving`),
+/// timed as the training set is: what a robot without feedback would play.
+///
+/// # Errors
+/// As [`generate_with`]; [`DemonstrationError::Invalid`] with the reason for a start that generation
+/// would reject, and for a procedure that the demonstration does not have.
+pub fn bend_to(
+    demo: &Demonstration,
+    task: &Task,
+    procedure: usize,
+    start: &Pose,
+) -> Result<PoseTrajectory, DemonstrationError> {
+    check_demonstration(demo, task, 1)?;
+    let invalid = |problem: String| DemonstrationError::Invalid {
+        what: format!("a trajectory of procedure {procedure}"),
+        problems: vec![problem],
+    };
+    let one = demo
+        .procedures
+        .get(procedure)
+        .ok_or_else(|| invalid(format!("the demonstration has {}", demo.procedures.len())))?;
+    // Only the drawing of starts is random, and here the start is given.
+    let mut rng = ChaCha8Rng::seed_from_u64(0);
+    let maker = maker(demo, task, one, &mut rng, &mut Vec::new())?;
+    let (path, _) = maker.bend(start).map_err(invalid)?;
+    let poses = timed(&path, &task.generation, &maker.limits());
+    PoseTrajectory::from_poses(&poses, task.generation.retime.dt)
+        .map_err(|e| invalid(e.to_string()))
+}
+
+fn maker<'a>(
+    demo: &'a Demonstration,
+    task: &'a Task,
+    procedure: &'a ProcedureDemo,
+    rng: &mut ChaCha8Rng,
+    notes: &mut Vec<String>,
+) -> Result<Box<dyn Maker + 'a>, DemonstrationError> {
+    Ok(if procedure.name == "reach" {
+        Box::new(reach::Reach::new(demo, task, procedure, rng)?)
+    } else {
+        Box::new(path_task::PathTask::new(demo, task, procedure, rng, notes)?)
+    })
+}
+
+/// A path under the speed law of the task, resting at its end for a while.
+fn timed(path: &[Pose], config: &GenerationConfig, limits: &Limits) -> Vec<Pose> {
+    let timing = &config.retime;
+    let mut poses = match config.mode {
+        GenerationMode::Paper => path.to_vec(),
+        GenerationMode::Repaired => retime(path, limits, timing.dt),
+    };
+    let hold = (timing.hold / timing.dt).round() as usize;
+    poses.extend(poses.last().copied().into_iter().cycle().take(hold));
+    poses
 }
 
 fn check_demonstration(
@@ -164,6 +216,8 @@ trait Maker {
     fn ordinary(&mut self, rng: &mut ChaCha8Rng) -> Result<Made, String>;
     /// From a start beside an ordinary path.
     fn recovery(&mut self, base: &Made, rng: &mut ChaCha8Rng) -> Result<Made, String>;
+    /// From a given start; also the name of the rule that was used.
+    fn bend(&self, start: &Pose) -> Result<(Vec<Pose>, &'static str), String>;
     /// `T_base_tcp` for a pose of the procedure.
     fn tool(&self, reference: &Pose, pose: &Pose) -> Pose;
     /// Speed law.
@@ -179,8 +233,6 @@ fn run(
     reachable: Option<Reachable<'_>>,
 ) -> Result<(ProcedureSet, ProcedureReport), DemonstrationError> {
     let goal = procedure.goal();
-    let timing = &config.retime;
-    let hold = (timing.hold / timing.dt).round() as usize;
     let limits = maker.limits();
     let mut report = ProcedureReport { name: procedure.name.clone(), ..Default::default() };
     let mut trajectories = Vec::new();
@@ -214,18 +266,14 @@ fn run(
             maker.recovery(base, rng)
         };
         let checked = made.and_then(|m| {
-            let mut poses = match config.mode {
-                GenerationMode::Paper => m.path.clone(),
-                GenerationMode::Repaired => retime(&m.path, &limits, timing.dt),
-            };
+            let poses = timed(&m.path, config, &limits);
             let last = *poses.last().ok_or("empty path")?;
-            poses.extend(std::iter::repeat_n(last, hold));
             if let Some(reachable) = reachable {
                 for pose in m.path.iter().step_by(5).chain([&last]) {
                     reachable(&maker.tool(&m.reference, pose))?;
                 }
             }
-            let t = PoseTrajectory::from_poses(&poses, timing.dt)
+            let t = PoseTrajectory::from_poses(&poses, config.retime.dt)
                 .map_err(|_| "not finite".to_string())?;
             Ok((m, t))
         });

@@ -32,7 +32,7 @@ pub use demonstration::{Demonstration, FrameObservation, ProcedureDemo};
 pub use error::DemonstrationError;
 pub use filter::{FilterConfig, Sample, deflip, robust_mean, smooth};
 pub use generate::{
-    GenerateOptions, GenerationReport, ProcedureReport, Reachable, generate, generate_with,
+    GenerateOptions, GenerationReport, ProcedureReport, Reachable, bend_to, generate, generate_with,
 };
 pub use keyframe::{KeyframeConfig, Keyframes, detect as detect_keyframes};
 pub use parse::{GraspChange, ParseConfig, ParseReport, Repair, RepairKind, parse};

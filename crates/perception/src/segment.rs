@@ -14,6 +14,10 @@ const TALL_M: f64 = 0.012;
 const THIN_M: f64 = 0.0025;
 /// Highest point (m) above the table that is looked at.
 const CEILING_M: f64 = 0.45;
+/// A mask grows over gaps of so many pixels,
+const GROW_PX: i32 = 2;
+/// and not onto surfaces that are nearer or farther than its edge by this (m).
+const GROW_M: f32 = 0.06;
 /// Fewest cells of a group.
 const MIN_CELLS: usize = 40;
 
@@ -47,6 +51,7 @@ pub struct Scene {
     colors: Vec<[u8; 3]>,
     /// 0 = not an object, 1 = thin (by colour), 2 = tall.
     class: Vec<u8>,
+    table_colors: TableColors,
 }
 
 impl Scene {
@@ -80,7 +85,7 @@ impl Scene {
                 }
             })
             .collect();
-        Self { map, table, heights, colors, class }
+        Self { map, table, heights, colors, class, table_colors }
     }
 
     /// Groups of neighbouring object cells.
@@ -222,8 +227,16 @@ impl Scene {
         }
     }
 
-    /// Full-resolution mask of a cluster over its bounding window `(x0, y0, w, h)` grown by `margin` px.
-    pub fn mask(&self, cluster: &Cluster, margin: i32, size: (u32, u32)) -> Mask {
+    /// Full-resolution mask of a cluster of `model` over its bounding window grown by `margin` px.
+    /// Thin parts such as a handle often have no depth: pixels that join the cluster and have the
+    /// model's colours and not the table's belong to it too.
+    pub fn mask(
+        &self,
+        cluster: &Cluster,
+        margin: i32,
+        frame: &RgbdFrame,
+        model: &ObjectModel,
+    ) -> Mask {
         let s = self.map.stride as i32;
         let xy = |i: &u32| (*i as i32 % self.map.width as i32, *i as i32 / self.map.width as i32);
         let (mut x0, mut y0, mut x1, mut y1) = (i32::MAX, i32::MAX, 0, 0);
@@ -234,21 +247,39 @@ impl Scene {
             x1 = x1.max(x * s + s);
             y1 = y1.max(y * s + s);
         }
+        let size = (frame.intrinsics.width as i32, frame.intrinsics.height as i32);
         let (x0, y0) = ((x0 - margin).max(0), (y0 - margin).max(0));
-        let (x1, y1) = ((x1 + margin).min(size.0 as i32), (y1 + margin).min(size.1 as i32));
+        let (x1, y1) = ((x1 + margin).min(size.0), (y1 + margin).min(size.1));
         let (w, h) = ((x1 - x0).max(1) as u32, (y1 - y0).max(1) as u32);
-        let mut data = vec![false; (w * h) as usize];
+        let mut mask = Mask { x0, y0, width: w, height: h, data: vec![false; (w * h) as usize] };
+        // Pixels still to be looked around, each with the depth of the surface it joins.
+        let mut edge = Vec::new();
         for i in &cluster.cells {
             let (x, y) = xy(i);
-            for v in (y * s - y0)..(y * s + s - y0) {
-                for u in (x * s - x0)..(x * s + s - x0) {
-                    if u >= 0 && v >= 0 && u < w as i32 && v < h as i32 {
-                        data[(v * w as i32 + u) as usize] = true;
+            let z = self.map.point(*i as usize).map_or(0.0, |p| p.z as f32);
+            for v in y * s..y * s + s {
+                for u in x * s..x * s + s {
+                    if mask.set(u, v) {
+                        edge.push((u, v, z));
                     }
                 }
             }
         }
-        Mask { x0, y0, width: w, height: h, data }
+        while let Some((u, v, z)) = edge.pop() {
+            for (du, dv) in (-GROW_PX..=GROW_PX).flat_map(|a| (-GROW_PX..=GROW_PX).map(move |b| (a, b))) {
+                let (x, y) = (u + du, v + dv);
+                if x < x0 || y < y0 || x >= x1 || y >= y1 || mask.at(x, y) {
+                    continue;
+                }
+                let near = frame.depth_at(x, y).is_none_or(|d| (d - z).abs() < GROW_M);
+                let c = frame.color.get_pixel(x as u32, y as u32).0;
+                let own = model.palette.is_empty() || model.palette.fit(c) > 0.3;
+                if near && own && self.table_colors.differs(c) && mask.set(x, y) {
+                    edge.push((x, y, z));
+                }
+            }
+        }
+        mask
     }
 }
 
@@ -281,6 +312,16 @@ pub struct Mask {
 }
 
 impl Mask {
+    /// Adds an image pixel; false when it is outside the window or there already.
+    fn set(&mut self, u: i32, v: i32) -> bool {
+        let (x, y) = (u - self.x0, v - self.y0);
+        if x < 0 || y < 0 || x >= self.width as i32 || y >= self.height as i32 {
+            return false;
+        }
+        let slot = &mut self.data[(y * self.width as i32 + x) as usize];
+        !std::mem::replace(slot, true)
+    }
+
     /// Whether image pixel (u, v) belongs to the object; false outside the window.
     #[inline]
     pub fn at(&self, u: i32, v: i32) -> bool {

@@ -146,7 +146,7 @@ impl Sequence {
         let data =
             depth.as_raw().iter().map(|d| (f64::from(*d) * self.depth_scale) as f32).collect();
         Ok(RgbdFrame {
-            stamp: Stamp::from_secs(1.0 + index as f64 * FRAME_PERIOD_S),
+            stamp: stamp_of(index),
             color,
             depth: DepthImage { width: depth.width(), height: depth.height(), data },
             intrinsics: self.intrinsics,
@@ -165,6 +165,11 @@ impl Sequence {
         model.palette = Palette::default();
         Ok(model)
     }
+}
+
+/// Stamp of a frame.
+pub fn stamp_of(index: usize) -> Stamp {
+    Stamp::from_secs(1.0 + index as f64 * FRAME_PERIOD_S)
 }
 
 fn color_path(dir: &Path, index: usize) -> PathBuf {

@@ -15,6 +15,7 @@ pub mod kernels;
 pub mod network;
 mod normaliser;
 mod observer;
+mod open_loop;
 mod planner;
 #[cfg(any(test, feature = "candle"))]
 pub mod reference;
@@ -34,6 +35,7 @@ pub use error::{CheckpointProblem, PolicyError};
 pub use history::{HistoryBuffer, HistoryConfig, HistoryError, Pushed};
 pub use normaliser::{Normaliser, POSE_DIM};
 pub use observer::{Observation, Observer, ObserverError};
+pub use open_loop::{OpenLoop, OpenLoopError};
 pub use planner::{Planner, PlannerConfig};
 pub use samples::{ProcedureData, TrainingSet};
 pub use schedule::{SamplingPlan, SamplingStep, Schedule};

@@ -1,11 +1,13 @@
 //! Topics of the running graph into a bag.
 
+use crate::graph::GraphObserver;
 use crate::{Inbox, Node, Qos, RuntimeError};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tdv_bag::{BagError, BagWriter, Durability, Topic, TopicId};
-use tdv_msgs::{RawMessage, schema_of};
+use tdv_geometry::Stamp;
+use tdv_msgs::{CdrError, RawMessage, RosMessage, schema_of, to_cdr_bytes};
 
 /// Why nothing is recorded.
 #[derive(Debug, thiserror::Error)]
@@ -16,6 +18,14 @@ pub enum RecordError {
     /// The graph.
     #[error(transparent)]
     Runtime(#[from] RuntimeError),
+    /// A message that cannot be encoded.
+    #[error("{topic}: {source}")]
+    Message {
+        /// Its topic.
+        topic: String,
+        /// Why.
+        source: CdrError,
+    },
 }
 
 /// Topics whose last message late subscribers get.
@@ -38,7 +48,10 @@ pub struct Recorder {
     writer: BagWriter,
     /// None: every topic whose type is known.
     wanted: Option<Vec<String>>,
+    unwanted: Vec<String>,
+    observer: GraphObserver,
     inputs: BTreeMap<String, (TopicId, Inbox<RawMessage>)>,
+    own: BTreeMap<String, TopicId>,
     unknown: Vec<String>,
 }
 
@@ -56,9 +69,19 @@ impl Recorder {
             node: node.clone(),
             writer: BagWriter::create(output)?,
             wanted,
+            unwanted: Vec::new(),
+            observer: node.observe_graph()?,
             inputs: BTreeMap::new(),
+            own: BTreeMap::new(),
             unknown: Vec::new(),
         })
+    }
+
+    /// Leaves out these topics.
+    #[must_use]
+    pub fn without(mut self, topics: &[&str]) -> Self {
+        self.unwanted.extend(topics.iter().map(|t| (*t).to_owned()));
+        self
     }
 
     /// Topics that are recorded.
@@ -77,6 +100,9 @@ impl Recorder {
     /// [`RecordError`].
     pub fn add(&mut self, name: &str, type_name: &str) -> Result<(), RecordError> {
         if self.inputs.contains_key(name) || self.unknown.iter().any(|u| u == name) {
+            return Ok(());
+        }
+        if self.unwanted.iter().any(|u| u == name) {
             return Ok(());
         }
         if self.wanted.as_ref().is_some_and(|w| !w.iter().any(|t| t == name)) {
@@ -113,20 +139,56 @@ impl Recorder {
         Ok(())
     }
 
+    /// Subscribes what has appeared since the last look.
+    ///
+    /// # Errors
+    /// [`RecordError`].
+    pub fn look(&mut self) -> Result<(), RecordError> {
+        for (name, info) in self.observer.snapshot().topics {
+            if let Some(type_name) = info.types.first() {
+                self.add(&name, type_name)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes a message of the recorder's own.
+    ///
+    /// # Errors
+    /// [`RecordError`].
+    pub fn write<M: RosMessage + serde::Serialize>(
+        &mut self,
+        topic: &str,
+        stamp: Stamp,
+        message: &M,
+    ) -> Result<(), RecordError> {
+        let id = match self.own.get(topic) {
+            Some(id) => *id,
+            None => {
+                let id = self.writer.add_topic(Topic {
+                    name: topic.to_owned(),
+                    type_name: M::FULL_NAME.into(),
+                    schema: M::schema().into(),
+                    durability: Durability::Volatile,
+                })?;
+                self.own.insert(topic.to_owned(), id);
+                id
+            }
+        };
+        let data = to_cdr_bytes(message)
+            .map_err(|source| RecordError::Message { topic: topic.to_owned(), source })?;
+        Ok(self.writer.write(id, self.node.now(), stamp, &data)?)
+    }
+
     /// Records until `end` is true, looking for new topics once a second; then ends the bag.
     ///
     /// # Errors
     /// [`RecordError`].
     pub async fn run(mut self, mut end: impl FnMut() -> bool) -> Result<PathBuf, RecordError> {
-        let observer = self.node.observe_graph()?;
         let mut round = 0_u32;
         while !end() {
             if round % 100 == 0 {
-                for (name, info) in observer.snapshot().topics {
-                    if let Some(type_name) = info.types.first() {
-                        self.add(&name, type_name)?;
-                    }
-                }
+                self.look()?;
             }
             round = round.wrapping_add(1);
             self.drain()?;

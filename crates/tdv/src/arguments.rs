@@ -158,6 +158,9 @@ pub struct ClosedLoopArgs {
     /// Control: a network with random weights
     #[arg(long)]
     pub untrained: bool,
+    /// Control: look once, then play the demonstration bent to what was seen
+    #[arg(long, conflicts_with = "untrained")]
+    pub open_loop: bool,
     /// Control: every grasp is commanded this far off (m, along x)
     #[arg(long, default_value_t = 0.0)]
     pub grasp_offset: f64,
@@ -173,6 +176,9 @@ pub struct ClosedLoopArgs {
     /// Keep an animated picture of each trial
     #[arg(long)]
     pub pictures: bool,
+    /// Keep a bag of each trial: all topics, camera pictures at 5 Hz in JPEG
+    #[arg(long)]
+    pub bag: bool,
 }
 
 #[derive(Args)]
@@ -189,6 +195,9 @@ pub struct TrackingArgs {
     /// Result file
     #[arg(long)]
     pub json: Option<PathBuf>,
+    /// Folder for the bag and the logs of the live form
+    #[arg(long, default_value = "runs/tracking")]
+    pub run: PathBuf,
 }
 
 #[derive(Subcommand)]

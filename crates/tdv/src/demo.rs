@@ -25,11 +25,13 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<bool> {
         disturb: false,
         freeze_perception: false,
         untrained: false,
+        open_loop: false,
         grasp_offset: 0.0,
         kill: None,
         launch_file: "launch_scripts/closed_loop.launch.yaml".into(),
         run: args.run.clone(),
         pictures: true,
+        bag: true,
     };
     let good = eval::closed_loop(&setup)?;
     println!("verdict: {}", if good { "success" } else { "failure" });

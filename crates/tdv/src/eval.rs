@@ -1,12 +1,11 @@
-use crate::arguments::{ClosedLoopArgs, TrackingArgs};
+use crate::arguments::ClosedLoopArgs;
 use crate::{launch, picture};
 use anyhow::{Context as _, bail};
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use tdv_demonstration::{Demonstration, Task};
-use tdv_evaluation::{ClosedLoopReport, TrackingFrame, TrackingReport, Trial};
+use tdv_evaluation::{ClosedLoopReport, Trial};
 use tdv_geometry::yaw_of;
-use tdv_perception::visp;
 use tdv_runtime::trial::{TrialOutcome, TrialSetup, run_trial};
 use tdv_simulation::Scene;
 
@@ -27,6 +26,9 @@ pub fn closed_loop(args: &ClosedLoopArgs) -> anyhow::Result<bool> {
     let (mut trials, mut latency, mut cpu) = (Vec::new(), BTreeMap::new(), BTreeMap::new());
     for seed in args.seed..args.seed + args.trials {
         let setup = setup(args, &task, &scene, &demonstration, &model, seed);
+        if let Some(old) = setup.bag.as_ref().filter(|b| b.exists()) {
+            std::fs::remove_dir_all(old).with_context(|| old.display().to_string())?;
+        }
         let outcome = run_trial(&setup)?;
         let trial = trial(&task, seed, &outcome);
         println!(
@@ -38,10 +40,22 @@ pub fn closed_loop(args: &ClosedLoopArgs) -> anyhow::Result<bool> {
         for line in &outcome.story {
             println!("    {line}");
         }
+        if let Some(f) = &outcome.fault {
+            println!(
+                "    {} killed at {:.2} rad/s: {}; told: {}",
+                f.node,
+                f.speed,
+                f.rest_ms.map_or("NOT at rest".into(), |ms| format!("at rest after {ms:.0} ms")),
+                f.sentence
+            );
+        }
         if args.pictures && !outcome.pictures.is_empty() {
             let path = args.run.join(format!("trial_{seed}.gif"));
             picture::save_gif(&path, &outcome.pictures, 100)?;
             println!("    picture: {}", path.display());
+        }
+        if let Some(bag) = &outcome.bag {
+            println!("    bag: {}", bag.display());
         }
         for (stage, samples) in outcome.latency_ms {
             latency.entry(stage).or_insert_with(Vec::new).extend(samples);
@@ -66,6 +80,7 @@ fn condition(args: &ClosedLoopArgs) -> String {
         (args.disturb, "displaced in mid-run"),
         (args.freeze_perception, "perception frozen"),
         (args.untrained, "untrained network"),
+        (args.open_loop, "open-loop replay"),
         (args.grasp_offset != 0.0, "grasp offset"),
     ] {
         if on {
@@ -108,6 +123,7 @@ fn setup(
     set("disturb", args.disturb.to_string());
     set("freeze_perception", args.freeze_perception.to_string());
     set("untrained", args.untrained.to_string());
+    set("open_loop", args.open_loop.to_string());
     set("grasp_offset", format!("[{:?}, 0.0, 0.0]", args.grasp_offset));
     TrialSetup {
         launch_file: args.launch_file.clone(),
@@ -118,6 +134,7 @@ fn setup(
         patience: PATIENCE,
         pictures: args.pictures,
         kill: args.kill.clone(),
+        bag: args.bag.then(|| args.run.join(format!("trial_{seed}"))),
     }
 }
 
@@ -159,7 +176,8 @@ fn trial(task: &Task, seed: u64, outcome: &TrialOutcome) -> Trial {
     }
 }
 
-fn write_json(path: &PathBuf, report: &impl serde::Serialize) -> anyhow::Result<()> {
+/// Writes a result file, whole or not at all.
+pub fn write_json(path: &Path, report: &impl serde::Serialize) -> anyhow::Result<()> {
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder)?;
     }
@@ -167,21 +185,4 @@ fn write_json(path: &PathBuf, report: &impl serde::Serialize) -> anyhow::Result<
     std::fs::write(&partial, serde_json::to_string_pretty(report)?)
         .with_context(|| partial.display().to_string())?;
     std::fs::rename(&partial, path).with_context(|| path.display().to_string())
-}
-
-/// Tracks the object of a data set and compares with its reference.
-pub fn tracking(args: &TrackingArgs) -> anyhow::Result<bool> {
-    if args.object != "cube" {
-        bail!("the data set has reference poses of the cube only, not of {:?}", args.object);
-    }
-    if args.live {
-        bail!("the live form is not there yet; leave --live out");
-    }
-    let summary = visp::evaluate_visp(&args.dataset)?;
-    let _ = (TrackingReport::new(Vec::<TrackingFrame>::new(), 0), &summary);
-    println!("{summary:#?}");
-    if let Some(path) = &args.json {
-        write_json(path, &serde_json::json!({ "summary": summary }))?;
-    }
-    Ok(true)
 }

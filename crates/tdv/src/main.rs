@@ -13,6 +13,7 @@ mod record;
 mod record_demo;
 mod report;
 mod teach;
+mod tracking;
 
 use arguments::{Arguments, BagCommand, Command, EvalCommand};
 use clap::Parser as _;
@@ -29,7 +30,7 @@ fn main() -> ExitCode {
         Command::Record(a) => record::run(&a).map(|()| true),
         Command::RecordDemo(a) => record_demo::run(&a).map(|()| true),
         Command::Eval(EvalCommand::ClosedLoop(a)) => eval::closed_loop(&a),
-        Command::Eval(EvalCommand::Tracking(a)) => eval::tracking(&a),
+        Command::Eval(EvalCommand::Tracking(a)) => tracking::run(&a),
         Command::Bag(BagCommand::Info { bag }) => bag::info(&bag).map(|()| true),
         Command::Doctor(a) => doctor::run(&a),
         Command::Graph(a) => graph::run(&a).map(|()| true),

@@ -2,11 +2,14 @@ use crate::params::PolicyParameters;
 use anyhow::Context as _;
 use std::path::Path;
 use std::time::Duration;
-use tdv_demonstration::Demonstration;
+use tdv_demonstration::{Demonstration, Task};
+use tdv_geometry::{Pose, Stamp};
 use tdv_msgs::geometry_msgs::msg::PoseStamped;
 use tdv_msgs::nav_msgs::msg::Path as PathMessage;
 use tdv_msgs::tdv_msgs::msg::{PoseTrajectory, Procedure, TrackedObjects};
-use tdv_policy::{HistoryConfig, Observer, Planner, PlannerConfig, TrainedPolicy};
+use tdv_policy::{
+    HistoryConfig, Observation, Observer, OpenLoop, Planner, PlannerConfig, TrainedPolicy,
+};
 use tdv_runtime::{Inbox, Level, Node, Params, Publisher, Qos, tracked};
 
 /// Waits this long for a message before looking whether the node is to end.
@@ -16,6 +19,8 @@ struct Work {
     node: Node,
     seed: u64,
     planner: Planner,
+    /// The control experiment that plays instead of planning.
+    open_loop: Option<OpenLoop>,
     observer: Observer,
     objects: Inbox<TrackedObjects>,
     procedure: Inbox<Procedure>,
@@ -40,9 +45,16 @@ pub async fn predict(node: Node, params: Params<PolicyParameters>) -> anyhow::Re
     let planner = Planner::new(&policy, config)?;
     let history =
         HistoryConfig { length: planner.history_len(), dt: planner.dt(), max_gap: p.max_gap };
+    let open_loop = if p.open_loop {
+        let task = Task::load(Path::new(&p.task))?;
+        Some(OpenLoop::new(demonstration.clone(), task, planner.horizon()))
+    } else {
+        None
+    };
     let work = Work {
         seed: p.seed as u64,
         planner,
+        open_loop,
         observer: Observer::new(&demonstration, history)?,
         objects: node.newest("/pose_tracker/objects", Qos::reliable(5))?,
         procedure: node.newest("/switch_policy/procedure", Qos::latched())?,
@@ -92,12 +104,7 @@ impl Work {
         }
         let stamp = tracked::stamp(&objects.header);
         let began = std::time::Instant::now();
-        let seen =
-            self.observer.observe(stamp, procedure, |name| tracked::usable_pose(objects, name));
-        let planned = seen.map_err(anyhow::Error::from).and_then(|observation| {
-            let plan = self.planner.plan(procedure, &observation.history, self.seed)?;
-            Ok((observation.undo(&plan), observation))
-        });
+        let planned = self.plan(stamp, objects, procedure);
         let diagnostics = self.node.diagnostics();
         match planned {
             Ok((poses, observation)) => {
@@ -121,5 +128,24 @@ impl Work {
             Err(error) => diagnostics.level(Level::Warn, format!("no plan: {error}")),
         }
         self.prediction.publish(message);
+    }
+
+    /// The poses `T_reference_moving` that shall follow, and what they were made from.
+    fn plan(
+        &mut self,
+        stamp: Stamp,
+        objects: &TrackedObjects,
+        procedure: usize,
+    ) -> anyhow::Result<(Vec<Pose>, Observation)> {
+        let pose_of = |name: &str| tracked::usable_pose(objects, name);
+        if let Some(control) = &mut self.open_loop {
+            control.look(pose_of)?;
+            let believed = |name: &str| control.believed(procedure, name, pose_of(name));
+            let seen = self.observer.observe(stamp, procedure, believed)?;
+            return Ok((seen.undo(&control.plan(&seen)?), seen));
+        }
+        let seen = self.observer.observe(stamp, procedure, pose_of)?;
+        let plan = self.planner.plan(procedure, &seen.history, self.seed)?;
+        Ok((seen.undo(&plan), seen))
     }
 }

@@ -7,6 +7,8 @@ use tdv_runtime::Parameters;
 pub struct PolicyParameters {
     pub model: String,
     pub untrained: bool,
+    pub open_loop: bool,
+    pub task: String,
     pub inference_steps: i64,
     pub max_gap: f64,
     pub seed: i64,
@@ -14,7 +16,15 @@ pub struct PolicyParameters {
 
 impl Default for PolicyParameters {
     fn default() -> Self {
-        Self { model: String::new(), untrained: false, inference_steps: 10, max_gap: 0.5, seed: 1 }
+        Self {
+            model: String::new(),
+            untrained: false,
+            open_loop: false,
+            task: String::new(),
+            inference_steps: 10,
+            max_gap: 0.5,
+            seed: 1,
+        }
     }
 }
 
@@ -23,6 +33,9 @@ impl Parameters for PolicyParameters {
         let mut problems = Vec::new();
         if self.model.is_empty() {
             problems.push("'model' is empty: give the folder that `tdv teach` wrote".into());
+        }
+        if self.open_loop && self.task.is_empty() {
+            problems.push("'task' is empty: 'open_loop' bends the demonstration by the task file".into());
         }
         if self.inference_steps < 1 {
             problems.push(format!("'inference_steps' is {}: 1 or more", self.inference_steps));
@@ -37,6 +50,10 @@ impl Parameters for PolicyParameters {
         match name {
             "model" => "folder with demonstration.json and policy.safetensors",
             "untrained" => "control experiment: a network of the same shape with random weights",
+            "open_loop" => {
+                "control experiment: play the demonstration, bent to the first look at the scene"
+            }
+            "task" => "task file; for open_loop only",
             "inference_steps" => "denoising steps of a plan",
             "max_gap" => "a longer silence of the tracker (s) starts a new history",
             "seed" => "seed of the sampler's noise",

@@ -29,11 +29,19 @@ struct Outputs {
     camera_frame: String,
 }
 
-fn specs(task: &Task, folder: &Path) -> anyhow::Result<TaskObjects> {
-    let mut names = vec![task.reference_object.clone()];
-    if task.kind == TaskKind::Object {
-        names.push(task.moving_object.clone());
+/// The task's objects, or without a task those of the parameter.
+fn objects_of(p: &TrackerParameters) -> anyhow::Result<TaskObjects> {
+    let (mut names, mut moving) = (p.objects.clone(), String::new());
+    if !p.task.is_empty() {
+        let task = Task::load(Path::new(&p.task))?;
+        names = vec![task.reference_object];
+        if task.kind == TaskKind::Object {
+            names.push(task.moving_object.clone());
+        }
+        moving = task.moving_object;
     }
+    let folder = Path::new(&p.objects_dir);
+    let reference = names.first().cloned().unwrap_or_default();
     let objects = names
         .into_iter()
         .map(|name| {
@@ -41,18 +49,13 @@ fn specs(task: &Task, folder: &Path) -> anyhow::Result<TaskObjects> {
             Ok(ObjectSpec { name, symmetry: file.symmetry })
         })
         .collect::<anyhow::Result<_>>()?;
-    Ok(TaskObjects {
-        objects,
-        reference: task.reference_object.clone(),
-        moving: task.moving_object.clone(),
-    })
+    Ok(TaskObjects { objects, reference, moving })
 }
 
 /// The node's life.
 pub async fn track(node: Node, params: Params<TrackerParameters>) -> anyhow::Result<()> {
     let p = params.get();
-    let task = Task::load(Path::new(&p.task))?;
-    let objects = specs(&task, Path::new(&p.objects_dir)).context("the task's objects")?;
+    let objects = objects_of(&p).context("the objects to track")?;
     let outputs = Outputs {
         objects: node.publisher("/pose_tracker/objects", Qos::reliable(5))?,
         tf: node.publisher("/tf", Qos::reliable(100))?,

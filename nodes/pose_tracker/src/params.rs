@@ -7,6 +7,7 @@ use tdv_runtime::Parameters;
 #[serde(default, deny_unknown_fields)]
 pub struct TrackerParameters {
     pub task: String,
+    pub objects: Vec<String>,
     pub objects_dir: String,
     pub camera_frame: String,
     pub tracking: ObjectsConfig,
@@ -16,6 +17,7 @@ impl Default for TrackerParameters {
     fn default() -> Self {
         Self {
             task: String::new(),
+            objects: Vec::new(),
             objects_dir: "config/objects".into(),
             camera_frame: "camera_color_optical_frame".into(),
             tracking: ObjectsConfig::default(),
@@ -26,8 +28,10 @@ impl Default for TrackerParameters {
 impl Parameters for TrackerParameters {
     fn validate(&self) -> Vec<String> {
         let mut problems = Vec::new();
-        if self.task.is_empty() {
-            problems.push("'task' is empty: give a file of config/tasks".into());
+        if self.task.is_empty() && self.objects.is_empty() {
+            problems.push(
+                "'task' and 'objects' are empty: give a file of config/tasks or catalogue names".into(),
+            );
         }
         if self.tracking.reject > self.tracking.accept {
             problems.push(format!(
@@ -41,6 +45,7 @@ impl Parameters for TrackerParameters {
     fn describe(name: &str) -> &'static str {
         match name {
             "task" => "task file: which objects there are, which moves, which is the reference",
+            "objects" => "without a task: catalogue names, the first is the reference",
             "objects_dir" => "folder of the object catalogue (for symmetries)",
             "camera_frame" => "frame of the detections; its pose comes from /tf_static or /tf",
             _ => "",

@@ -45,9 +45,12 @@ impl Camera {
             ..SensorConfig::lab()
         };
         let qos = Qos::reliable(2);
+        let backdrop = Backdrop::generate(&BackdropConfig::default(), seed);
+        let mut sensor = RgbdSensor::new(config, seed);
+        sensor.keep_still(backdrop.items().len());
         Ok(Self {
-            backdrop: Backdrop::generate(&BackdropConfig::default(), seed),
-            sensor: RgbdSensor::new(config, seed),
+            backdrop,
+            sensor,
             pose: assets.scene.camera.pose(),
             frame: SensorFrame::default(),
             claimed: knowledge.intrinsics,
@@ -69,7 +72,8 @@ impl Camera {
                 .into_iter()
                 .map(|i| SceneItem { mesh: i.mesh, pose: i.pose, id: i.id }),
         );
-                self.sensor.capture(&self.pose, &items, &self.backdrop.lighting, snapshot.number, &mut self.frame);
+        let light = &self.backdrop.lighting;
+        self.sensor.capture(&self.pose, &items, light, snapshot.number, &mut self.frame);
         let header = convert::header(snapshot.stamp, FRAME);
         for info in &self.info {
             info.publish(convert::info_from_intrinsics(&self.claimed, header.clone()));

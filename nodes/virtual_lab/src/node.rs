@@ -7,17 +7,20 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tdv_geometry::Stamp;
+use tdv_msgs::sensor_msgs::msg::JointState;
 use tdv_msgs::std_srvs::srv::{Trigger, TriggerResponse};
 use tdv_msgs::tdv_msgs::msg::{TrackedObject, TrackedObjects, TrialVerdict};
 use tdv_msgs::tf2_msgs::msg::TFMessage;
+use tdv_robot::JOINT_NAMES;
 use tdv_runtime::{Level, Node, Params, Publisher, Qos, Sender, inbox, tracked};
 use tdv_simulation::disturbance::Disturbance;
 use tdv_simulation::trial::PlacingGoal;
 use tdv_simulation::ur_server::{ServerConfig, UrServer};
 use tdv_simulation::{Lab, LabAssets, Pacer, Scene};
 
-/// Times between two truth messages and two verdicts (s of the lab's time).
+/// Times between two messages of each kind (s of the lab's time).
 const TRUTH_PERIOD: f64 = 1.0 / 30.0;
+const JOINTS_PERIOD: f64 = 1.0 / 125.0;
 const VERDICT_PERIOD: f64 = 0.5;
 
 struct World {
@@ -31,6 +34,7 @@ struct World {
     disturb_now: Arc<AtomicBool>,
     frames: Option<Sender<Snapshot>>,
     truth: Publisher<TrackedObjects>,
+    true_joints: Publisher<JointState>,
     verdict: Publisher<TrialVerdict>,
     finished: bool,
 }
@@ -65,6 +69,8 @@ pub async fn simulate(node: Node, params: Params<LabParameters>) -> anyhow::Resu
         async { TriggerResponse { success: true, message: "an object will be displaced".into() } }
     })?;
     let world = World {
+        true_joints: node
+            .publisher("/virtual_lab/ground_truth/joint_states", Qos::reliable(10))?,
         truth: node.publisher("/virtual_lab/ground_truth/objects", Qos::reliable(5))?,
         verdict: node.publisher("/virtual_lab/ground_truth/verdict", Qos::latched())?,
         lab,
@@ -132,6 +138,9 @@ impl World {
             if due(time, step, TRUTH_PERIOD) {
                 self.publish_truth(stamp);
             }
+            if due(time, step, JOINTS_PERIOD) {
+                self.publish_true_joints(stamp);
+            }
             let finished = self.lab.trial().finished;
             if due(time, step, VERDICT_PERIOD) || finished != self.finished {
                 self.finished = finished;
@@ -189,6 +198,17 @@ impl World {
             })
             .collect();
         self.truth.publish(TrackedObjects { header: tracked::header(stamp), objects });
+    }
+
+    fn publish_true_joints(&self, stamp: Stamp) {
+        let (position, velocity) = self.lab.joints();
+        self.true_joints.publish(JointState {
+            header: tracked::header(stamp),
+            name: JOINT_NAMES.map(String::from).to_vec(),
+            position: position.to_vec(),
+            velocity: velocity.to_vec(),
+            effort: Vec::new(),
+        });
     }
 
     fn publish_verdict(&self, stamp: Stamp) {

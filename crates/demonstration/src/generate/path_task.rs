@@ -168,19 +168,24 @@ impl Maker for PathTask<'_> {
         let reference = self.draw_reference(rng);
         let start = self.draw_start(&reference, rng)?;
         let start = canonical_start(self.procedure, &start, rng).apply(&start);
-        let (path, rule) = match self.task.generation.mode {
+        let (path, rule) = self.bend(&start)?;
+        Ok(Made { path, reference, rule })
+    }
+
+    fn bend(&self, start: &Pose) -> Result<(Vec<Pose>, &'static str), String> {
+        let bent = match self.task.generation.mode {
             GenerationMode::Paper => {
-                (warp_paper(&self.demo, &start, self.task.generation.alpha)?.poses, "paper")
+                (warp_paper(&self.demo, start, self.task.generation.alpha)?.poses, "paper")
             }
             GenerationMode::Repaired => {
-                let w = warp_repaired(&self.demo, &start, &self.warp);
+                let w = warp_repaired(&self.demo, start, &self.warp);
                 self.check(&w.poses, true)?;
                 let rule = if w.rule == WarpRule::LogPolar { "log_polar" } else { "offset_fade" };
                 (w.poses, rule)
             }
         };
-        check::finite(&path)?;
-        Ok(Made { path, reference, rule })
+        check::finite(&bent.0)?;
+        Ok(bent)
     }
 
     fn recovery(&mut self, base: &Made, rng: &mut ChaCha8Rng) -> Result<Made, String> {

@@ -69,20 +69,26 @@ impl Maker for Reach<'_> {
         let tool = downward(at, tool_yaw, tilt(rng, h.tilt_deg.to_radians()));
         let start = object.inverse() * tool;
         let start = canonical_start(self.procedure, &start, rng).apply(&start);
-        let (path, rule) = match config.mode {
+        let (path, rule) = self.bend(&start)?;
+        Ok(Made { path, reference: object, rule })
+    }
+
+    fn bend(&self, start: &Pose) -> Result<(Vec<Pose>, &'static str), String> {
+        let config = &self.task.generation;
+        let bent = match config.mode {
             GenerationMode::Paper => {
                 let demo: Vec<Pose> = self.procedure.trajectory.poses().copied().collect();
                 let demo = retime(&demo, &limits(config, 0.0), config.retime.dt);
-                (warp_paper(&demo, &start, config.alpha)?.poses, "paper")
+                (warp_paper(&demo, start, config.alpha)?.poses, "paper")
             }
             GenerationMode::Repaired => {
-                let path = self.plan.path(&start);
+                let path = self.plan.path(start);
                 self.plan.check(&path)?;
                 (path, "approach")
             }
         };
-        finite(&path)?;
-        Ok(Made { path, reference: object, rule })
+        finite(&bent.0)?;
+        Ok(bent)
     }
 
     fn recovery(&mut self, base: &Made, rng: &mut ChaCha8Rng) -> Result<Made, String> {

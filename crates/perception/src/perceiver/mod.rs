@@ -395,7 +395,7 @@ fn find(
     }
     let mut best: Option<(f64, Registration)> = None;
     for (fit, cluster) in ranked.iter().take(config.candidates) {
-        let mask = window_mask(scene, cluster, frame);
+        let mask = window_mask(scene, cluster, frame, model);
         let Some(r) = search(frame, &mask, model, Some(&scene.table), &config.register) else {
             continue;
         };
@@ -420,10 +420,10 @@ fn find(
 }
 
 /// A cluster's mask in a window that leaves room for the unseen part of the object.
-fn window_mask(scene: &Scene, cluster: &Cluster, frame: &RgbdFrame) -> Mask {
+fn window_mask(scene: &Scene, cluster: &Cluster, frame: &RgbdFrame, model: &ObjectModel) -> Mask {
     let k = &frame.intrinsics;
     let span = cluster.length.max(cluster.top).max(0.05) * k.fx / cluster.centroid.z.max(0.1);
-    scene.mask(cluster, (0.35 * span) as i32 + 4, (k.width, k.height))
+    scene.mask(cluster, (0.35 * span) as i32 + 4, frame, model)
 }
 
 #[cfg(test)]

@@ -40,7 +40,7 @@ impl Default for RegisterConfig {
             coarse_px: 64.0,
             fine_px: 110.0,
             yaws: 36,
-            keep: 12,
+            keep: 16,
             finalists: 4,
             min_score: 0.45,
             upright_enough: 0.6,
@@ -136,7 +136,8 @@ fn run(
         }
         scored.push((coarse.score(painter, model, &pose), pose));
     }
-    keep_best(&mut scored, config.keep, model, 8f64.to_radians());
+    // A mug's handle decides late: neighbours of a good hypothesis must not push out other yaws.
+    keep_best(&mut scored, config.keep, model, 18f64.to_radians());
     for (score, pose) in &mut scored {
         let moved = coarse.icp(painter, model, *pose, 0.03, 6);
         let s = coarse.score(painter, model, &moved);
@@ -144,7 +145,6 @@ fn run(
             (*score, *pose) = (s, moved);
         }
     }
-    keep_best(&mut scored, config.finalists, model, 12f64.to_radians());
     for (score, pose) in &mut scored {
         *score = fine.score(painter, model, pose);
         let moved = fine.icp(painter, model, *pose, 0.015, 4);
@@ -152,6 +152,9 @@ fn run(
         if s > *score {
             (*score, *pose) = (s, moved);
         }
+    }
+    keep_best(&mut scored, config.finalists, model, 25f64.to_radians());
+    for (score, pose) in &mut scored {
         polish(fine, painter, model, score, pose);
     }
     scored.sort_by(|a, b| b.0.total_cmp(&a.0));

@@ -68,9 +68,9 @@ impl Target {
             if *r > 0.0 {
                 drawn += 1;
                 if *d == 0.0 {
-                    // A hole says little; the mask may still say something.
-                    weight += 0.3;
-                    sum += if *m { 0.25 } else { 0.15 };
+                    // A hole says less than a reading, but its colour has put it into the mask or not.
+                    weight += 0.6;
+                    sum += if *m { 0.6 } else { 0.2 };
                     continue;
                 }
                 let tol = tolerance(*r);

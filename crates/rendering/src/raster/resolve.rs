@@ -141,7 +141,7 @@ impl Renderer {
         camera: &Intrinsics,
         scene: &[Instance<'_>],
         (depth, ids, normals): (&mut [f32], &mut [u16], &mut [V3]),
-        mut color: Option<(&mut Shader, &mut RgbImage)>,
+        mut color: Option<(&mut Shader<'_>, &mut RgbImage)>,
     ) {
         let width = camera.width as usize;
         if width == 0 {
@@ -165,7 +165,8 @@ impl Renderer {
                 let run = visible[from..].iter().take_while(|v| **v == seen).count();
                 let span = from..from + run;
                 from += run;
-                let pixels = 3 * (row.start + span.start)..3 * (row.start + span.end);
+                let all = row.start + span.start..row.start + span.end;
+                let pixels = 3 * all.start..3 * all.end;
                 if seen == 0 {
                     depth[span.clone()].fill(0.0);
                     ids[span.clone()].fill(0);
@@ -192,7 +193,8 @@ impl Renderer {
                 if let Some((shader, image)) = &mut color {
                     let texture = scene[facet.instance].mesh.texture.as_ref();
                     let pixels = &mut image.as_mut()[pixels];
-                    shader.fill(facet, texture, (depth, inverse, rays, ray_y), normals, pixels);
+                    let run = (&*depth, inverse, rays, ray_y);
+                    shader.color(facet, texture, run, normals, (seen, all), pixels);
                 }
             }
         }
@@ -243,7 +245,11 @@ fn bilinear(texture: &RgbImage, uv: [f32; 2]) -> V3 {
 }
 
 /// Lighting prepared for one image.
-pub(super) struct Shader {
+pub(super) struct Shader<'a> {
+    /// Triangle numbers (plus one) and colours of the last image.
+    last: Option<(&'a [u32], &'a [u8])>,
+    /// Triangles below this number look as they did then.
+    still: u32,
     ambient: V3,
     lights: Vec<(V3, V3)>,
     specular: f32,
@@ -256,9 +262,11 @@ pub(super) struct Shader {
 /// Depths, inverse depths and the rays' x of a run of pixels, and their common ray y.
 type Run<'a> = (&'a [f32], &'a [f32], &'a [f32], f32);
 
-impl Shader {
+impl<'a> Shader<'a> {
     pub(super) fn new(lighting: &Lighting) -> Self {
         Self {
+            last: None,
+            still: 0,
             ambient: lighting.ambient,
             lights: lighting.lights.iter().map(|l| (normalize(l.direction), l.color)).collect(),
             specular: lighting.specular,
@@ -268,7 +276,48 @@ impl Shader {
         }
     }
 
-    /// Colours a run of pixels of one triangle.
+    /// From now on, pixels that showed the same one of the first `still` triangles in the last image
+    /// (triangle numbers plus one, colours) are copied from it.
+    pub(super) fn remember(&mut self, last: Option<(&'a Vec<u32>, &'a RgbImage)>, still: u32) {
+        self.last = last.map(|(visible, color)| (visible.as_slice(), color.as_raw().as_slice()));
+        self.still = still;
+    }
+
+    /// Colours a run of pixels of the triangle with number `seen`, at `all` of the whole image.
+    fn color(
+        &self,
+        facet: &Facet,
+        texture: Option<&RgbImage>,
+        (depth, inverse, rays, ray_y): Run<'_>,
+        normals: &[V3],
+        (seen, all): (u32, std::ops::Range<usize>),
+        pixels: &mut [u8],
+    ) {
+        let fill = |span: std::ops::Range<usize>, pixels: &mut [u8]| {
+            let run = (&depth[span.clone()], &inverse[span.clone()], &rays[span.clone()], ray_y);
+            self.fill(facet, texture, run, &normals[span], pixels);
+        };
+        let Some((visible, color)) = self.last.filter(|_| seen <= self.still) else {
+            fill(0..depth.len(), pixels);
+            return;
+        };
+        let (before, old) = (&visible[all.clone()], &color[3 * all.start..3 * all.end]);
+        let mut from = 0;
+        while from < before.len() {
+            let same = before[from] == seen;
+            let run = before[from..].iter().take_while(|v| (**v == seen) == same).count();
+            let span = from..from + run;
+            from += run;
+            let bytes = 3 * span.start..3 * span.end;
+            if same {
+                pixels[bytes.clone()].copy_from_slice(&old[bytes]);
+            } else {
+                fill(span, &mut pixels[bytes]);
+            }
+        }
+    }
+
+    /// Colours pixels of one triangle.
     fn fill(
         &self,
         facet: &Facet,

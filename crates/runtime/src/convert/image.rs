@@ -161,10 +161,7 @@ pub fn image_from_color(image: &RgbImage, header: Header) -> Image {
 
 /// A 16UC1 message (millimetres, little endian).
 pub fn image_from_depth(depth: &DepthImage, header: Header) -> Image {
-    let mut data = Vec::with_capacity(depth.data.len() * 2);
-    for mm in depth.to_millimetres() {
-        data.extend_from_slice(&mm.to_le_bytes());
-    }
+    let data = depth.to_millimetres().into_iter().flat_map(u16::to_le_bytes).collect();
     Image {
         header,
         height: depth.height,

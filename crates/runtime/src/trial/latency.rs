@@ -10,7 +10,6 @@ pub struct StageClock {
     poses: HashMap<Stamp, Instant>,
     /// A plan that no command has followed yet.
     waiting: Option<Instant>,
-    commands: usize,
     samples: BTreeMap<String, Vec<f64>>,
 }
 
@@ -47,18 +46,12 @@ impl StageClock {
     /// A joint command has come. Commands flow at twice the rate of the plans; the first one after a plan
     /// counts, and none when the arm was at rest for so long that it cannot be the answer.
     pub fn command(&mut self, at: Instant) {
-        self.commands += 1;
         if let Some(plan) = self.waiting.take() {
             let seconds = (at - plan).as_secs_f64();
             if seconds < 0.1 {
                 self.add("plan_to_command", seconds);
             }
         }
-    }
-
-    /// Commands so far.
-    pub fn commands(&self) -> usize {
-        self.commands
     }
 
     /// Milliseconds by stage.

@@ -1,12 +1,19 @@
 //! Live trials: the whole graph as processes, watched from one more node, judged by the lab.
 
+mod fault;
 mod latency;
 mod pictures;
+mod replay;
 
 use crate::launch::{LaunchError, LaunchFile, Launched, NodeExit, StartOptions};
 use crate::names::Resolver;
 use crate::node::Node;
+use crate::record::{RecordError, Recorder};
 use crate::{Arguments, DiscoveryRange, Environment, Inbox, Qos, RuntimeError, tracked};
+pub use fault::FaultFigures;
+pub use replay::{ReplayOutcome, run_replay};
+
+use fault::{FaultWatch, Step};
 use latency::StageClock;
 use pictures::PictureTaker;
 use std::collections::BTreeMap;
@@ -14,7 +21,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 use tdv_geometry::Pose;
 use tdv_msgs::diagnostic_msgs::msg::DiagnosticArray;
-use tdv_msgs::sensor_msgs::msg::Image;
+use tdv_msgs::sensor_msgs::msg::{Image, JointState};
 use tdv_msgs::tdv_msgs::msg::{ControllerStatus, PoseTrajectory, TrackedObjects, TrialVerdict};
 use tdv_msgs::trajectory_msgs::msg::JointTrajectory;
 use tdv_rendering::RgbImage;
@@ -36,8 +43,10 @@ pub struct TrialSetup {
     pub patience: f64,
     /// Keep small camera pictures of the run.
     pub pictures: bool,
-    /// Kill this node (SIGKILL) once the arm has moved for a while.
+    /// Kill this node (SIGKILL) once the arm has moved for a while, and start it again a second later.
     pub kill: Option<String>,
+    /// Record the run into this folder, which must not exist yet.
+    pub bag: Option<PathBuf>,
 }
 
 /// What a trial gave.
@@ -59,6 +68,10 @@ pub struct TrialOutcome {
     pub pictures: Vec<RgbImage>,
     /// Seconds of the clock.
     pub wall: f64,
+    /// The bag of the run.
+    pub bag: Option<PathBuf>,
+    /// What the kill did, when one was asked for and the arm moved.
+    pub fault: Option<FaultFigures>,
 }
 
 /// Why a trial could not be run at all.
@@ -70,11 +83,22 @@ pub enum TrialError {
     /// The watching node cannot be created.
     #[error(transparent)]
     Runtime(#[from] RuntimeError),
+    /// The bag cannot be written.
+    #[error(transparent)]
+    Record(#[from] RecordError),
 }
+
+/// What a bag of a run leaves out: images at full rate. The runner writes its pictures instead.
+const TOO_MUCH: [&str; 3] = [
+    "/camera/camera/color/image_raw",
+    "/camera/camera/aligned_depth_to_color/image_raw",
+    "/perception_bridge/segmentation",
+];
 
 struct Watch {
     verdict: Inbox<TrialVerdict>,
     truth: Inbox<TrackedObjects>,
+    joints: Inbox<JointState>,
     objects: Inbox<TrackedObjects>,
     plans: Inbox<PoseTrajectory>,
     commands: Inbox<JointTrajectory>,
@@ -88,6 +112,11 @@ impl Watch {
         Ok(Self {
             verdict: node.newest("/virtual_lab/ground_truth/verdict", Qos::latched())?,
             truth: node.newest("/virtual_lab/ground_truth/objects", Qos::reliable(5))?,
+            joints: node.queue(
+                "/virtual_lab/ground_truth/joint_states",
+                Qos::reliable(10),
+                256,
+            )?,
             objects: node.queue("/pose_tracker/objects", Qos::reliable(5), 64)?,
             plans: node.queue("/diffusion_policy/prediction", Qos::reliable(5), 64)?,
             commands: node.queue(
@@ -109,26 +138,21 @@ impl Watch {
 /// # Errors
 /// [`TrialError`]. A trial that goes wrong is not an error: its outcome says how.
 pub fn run_trial(setup: &TrialSetup) -> Result<TrialOutcome, TrialError> {
-    let runtime = tokio::runtime::Builder::new_multi_thread()
-        .worker_threads(2)
-        .enable_all()
-        .build()
-        .map_err(|e| RuntimeError::Create {
-            what: "tokio runtime",
-            name: "trial".into(),
-            reason: e.to_string(),
-        })?;
-    runtime.block_on(watch_trial(setup))
+    block_on(watch_trial(setup))
 }
 
-async fn watch_trial(setup: &TrialSetup) -> Result<TrialOutcome, TrialError> {
+fn block_on<T>(work: impl Future<Output = Result<T, TrialError>>) -> Result<T, TrialError> {
+    tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?.block_on(work)
+}
+
+/// A watching node, and the processes of the graph.
+fn start(setup: &TrialSetup) -> Result<(Node, Launched), TrialError> {
     let commands =
         LaunchFile::load(&setup.launch_file)?.commands(&setup.arguments, &setup.share)?;
     let environment = Environment { domain: setup.domain, range: DiscoveryRange::Localhost };
     let resolver =
         Resolver::new("trial_runner", &Arguments::default()).map_err(RuntimeError::Name)?;
     let node = Node::new(resolver, environment, false)?;
-    let mut watch = Watch::new(&node, setup.pictures)?;
     let options = StartOptions {
         log_folder: Some(setup.log_folder.clone()),
         environment: vec![
@@ -137,29 +161,48 @@ async fn watch_trial(setup: &TrialSetup) -> Result<TrialOutcome, TrialError> {
         ],
         ..StartOptions::beside_this_program()
     };
+    Ok((node, Launched::start(&commands, options)?))
+}
+
+async fn watch_trial(setup: &TrialSetup) -> Result<TrialOutcome, TrialError> {
+    let (node, mut launched) = start(setup)?;
+    let mut watch = Watch::new(&node, setup.pictures || setup.bag.is_some())?;
     let began = Instant::now();
-    let mut launched = Launched::start(&commands, options)?;
     let mut outcome = TrialOutcome::default();
     let mut stages = StageClock::default();
     let mut taker = PictureTaker::default();
-    let mut kill = setup.kill.clone();
-    let mut moving_since: Option<Instant> = None;
+    let mut recorder = match &setup.bag {
+        Some(folder) => Some(Recorder::create(&node, folder, None)?.without(&TOO_MUCH)),
+        None => None,
+    };
+    let mut looked: Option<Instant> = None;
+    let mut fault = setup.kill.clone().map(FaultWatch::new);
     loop {
         tokio::time::sleep(Duration::from_millis(2)).await;
-        collect(&mut watch, &mut outcome, &mut stages, &mut taker);
+        collect(&mut watch, &mut outcome, &mut stages, &mut taker, &mut fault);
+        if let Some(recorder) = &mut recorder {
+            if looked.is_none_or(|t| t.elapsed() > Duration::from_millis(500)) {
+                looked = Some(Instant::now());
+                recorder.look()?;
+            }
+            taker.hand_over(recorder)?;
+            recorder.drain()?;
+        }
         let exits = launched.exited();
         let died = !exits.is_empty();
         outcome.exits.extend(exits);
-        if !outcome.story.is_empty() && moving_since.is_none() && stages.commands() > 30 {
-            moving_since = Some(Instant::now());
-        }
-        if moving_since.is_some_and(|t| t.elapsed() > Duration::from_secs(1))
-            && let Some(name) = kill.take()
-        {
-            launched.kill(&name);
-            outcome.story.push(format!("{name} was killed"));
-            tokio::time::sleep(Duration::from_secs(1)).await;
-            let _ = launched.restart(&name)?;
+        if let Some(fault) = &mut fault {
+            match fault.step(node.now()) {
+                Step::Wait => {}
+                Step::Kill => {
+                    launched.kill(fault.node());
+                    outcome.story.push(format!("{} was killed", fault.node()));
+                }
+                Step::Restart => {
+                    launched.restart(fault.node())?;
+                    outcome.story.push(format!("{} was started again", fault.node()));
+                }
+            }
         }
         let finished = outcome.verdict.as_ref().is_some_and(|v| v.finished);
         if finished || died || began.elapsed().as_secs_f64() > setup.patience {
@@ -167,9 +210,13 @@ async fn watch_trial(setup: &TrialSetup) -> Result<TrialOutcome, TrialError> {
         }
     }
     // Once more: the verdict that ended it may have come with a picture worth keeping.
-    collect(&mut watch, &mut outcome, &mut stages, &mut taker);
+    collect(&mut watch, &mut outcome, &mut stages, &mut taker, &mut fault);
     outcome.wall = began.elapsed().as_secs_f64();
     launched.stop(Duration::from_secs(3));
+    if let Some(recorder) = recorder {
+        outcome.bag = Some(recorder.finish()?);
+    }
+    outcome.fault = fault.and_then(|f| f.figures());
     outcome.latency_ms = stages.into_samples();
     outcome.pictures = taker.into_pictures();
     node.leave();
@@ -181,6 +228,7 @@ fn collect(
     outcome: &mut TrialOutcome,
     stages: &mut StageClock,
     taker: &mut PictureTaker,
+    fault: &mut Option<FaultWatch>,
 ) {
     let now = Instant::now();
     if let Some(v) = watch.verdict.try_newest() {
@@ -195,6 +243,11 @@ fn collect(
             }
         }
     }
+    while let Some(m) = watch.joints.try_recv() {
+        if let Some(fault) = fault {
+            fault.joints(&m, tracked::stamp(&m.header));
+        }
+    }
     while let Some(m) = watch.objects.try_recv() {
         stages.pose(tracked::stamp(&m.header), now);
     }
@@ -207,12 +260,18 @@ fn collect(
         stages.command(now);
     }
     while let Some(m) = watch.status.try_recv() {
+        if let Some(fault) = fault {
+            fault.sentence("arm_controller", &m.sentence);
+        }
         if outcome.story.last() != Some(&m.sentence) {
             outcome.story.push(m.sentence);
         }
     }
     while let Some(m) = watch.diagnostics.try_recv() {
         for s in m.status {
+            if let Some(fault) = fault {
+                fault.sentence(s.name.trim_start_matches('/'), &s.message);
+            }
             let value = s.values.iter().find(|v| v.key == "cpu_percent");
             if let Some(percent) = value.and_then(|v| v.value.parse::<f64>().ok()) {
                 outcome.cpu.insert(s.name.clone(), percent / 100.0);

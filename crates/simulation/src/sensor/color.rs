@@ -1,4 +1,4 @@
-use super::noise::{Gaussian, hash, key};
+use super::noise::{Gaussian, Tape, hash, key};
 use serde::{Deserialize, Serialize};
 use tdv_rendering::RgbImage;
 
@@ -44,6 +44,7 @@ impl Default for ColorNoise {
 pub(super) struct Scratch {
     column: Vec<u16>,
     row: Vec<f32>,
+    tape: Tape,
 }
 
 impl ColorNoise {
@@ -71,9 +72,6 @@ impl ColorNoise {
             exposure,
             exposure * (1.0 + balance * draw(0, 13)),
         ];
-        let sigma: Vec<f32> = (0..256)
-            .map(|v| ((self.read * self.read + self.shot * f64::from(v)).sqrt()) as f32)
-            .collect();
         // Blur in integers: the three weights add up to 256 each way.
         let side = (self.blur.clamp(0.0, 1.0 / 3.0) * 256.0).round() as u16;
         let middle = 256 - 2 * side;
@@ -81,8 +79,17 @@ impl ColorNoise {
         let source = exact.as_raw();
         scratch.column.resize(stride, 0);
         scratch.row.resize(stride, 0.0);
-        let pixel_key = key(seed, frame, 10);
+        let row_key = key(seed, frame, 10);
         let corner = (w as f32 * w as f32 + h as f32 * h as f32) / 4.0;
+        let loss = self.vignette as f32 / corner;
+        let (read, shot) = ((self.read * self.read) as f32, self.shot as f32);
+        // What the columns have in common, channel by channel.
+        let columns: Vec<(f32, f32)> = (0..stride)
+            .map(|i| {
+                let dx = (i / 3) as f32 - (w as f32 - 1.0) / 2.0;
+                (gains[i % 3], loss * dx * dx)
+            })
+            .collect();
         for (y, target) in out.chunks_exact_mut(stride).enumerate() {
             let at = |y: usize| &source[y * stride..(y + 1) * stride];
             let (above, here, below) = (at(y.saturating_sub(1)), at(y), at((y + 1).min(h - 1)));
@@ -93,7 +100,7 @@ impl ColorNoise {
             let across = |l: u16, m: u16, r: u16| {
                 let sum = u32::from(side) * (u32::from(l) + u32::from(r))
                     + u32::from(middle) * u32::from(m);
-                sum as f32 * (1.0 / 65536.0)
+                sum as i32 as f32 * (1.0 / 65536.0)
             };
             for k in 0..3 {
                 let last = stride - 3 + k;
@@ -103,23 +110,21 @@ impl ColorNoise {
             }
             if stride >= 6 {
                 let inner = &mut scratch.row[3..stride - 3];
-                for (i, slot) in inner.iter_mut().enumerate() {
-                    *slot = across(column[i], column[i + 3], column[i + 6]);
+                for (((slot, l), m), r) in
+                    inner.iter_mut().zip(column).zip(&column[3..]).zip(&column[6..])
+                {
+                    *slot = across(*l, *m, *r);
                 }
             }
             let dy = y as f32 - (h as f32 - 1.0) / 2.0;
-            for (x, (pixel, value)) in
-                target.chunks_exact_mut(3).zip(scratch.row.chunks_exact(3)).enumerate()
+            let light = 1.0 - loss * dy * dy;
+            let noise = scratch.tape.row(hash(row_key ^ y as u32), stride);
+            for (((to, value), (gain, dark)), n) in
+                target.iter_mut().zip(&scratch.row).zip(&columns).zip(noise)
             {
-                let dx = x as f32 - (w as f32 - 1.0) / 2.0;
-                let light = 1.0 - self.vignette as f32 * (dx * dx + dy * dy) / corner;
-                let bits = hash(pixel_key ^ (y * w + x) as u32);
-                for k in 0..3 {
-                    let v = value[k] * gains[k] * light;
-                    let noise = sigma[(v as usize).min(255)] * table.at(bits >> (10 * k));
-                    // The cast saturates at 0 and 255.
-                    pixel[k] = (v + noise + 0.5) as u8;
-                }
+                let v = value * gain * (light - dark);
+                let noisy = v + n * (read + shot * v).sqrt() + 0.5;
+                *to = noisy.clamp(0.0, 255.0) as i32 as u8;
             }
         }
     }

@@ -1,4 +1,4 @@
-use super::noise::{Gaussian, Patches, hash, key, unit};
+use super::noise::{Gaussian, Patches, Tape, hash, key, unit};
 use serde::{Deserialize, Serialize};
 use tdv_rendering::{DepthImage, Intrinsics, Rendered};
 
@@ -63,9 +63,16 @@ impl Default for DepthNoise {
 /// Buffers kept from frame to frame.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
-    beside_edge: Vec<bool>,
+    /// 1 within reach of an edge.
+    beside_edge: Vec<u8>,
+    /// 1 within reach of an edge of the same row.
+    reached: Vec<u8>,
+    edge: Vec<u8>,
     shared: Vec<f32>,
     lost: Vec<f32>,
+    /// Column in the second imager.
+    second: Vec<f32>,
+    tape: Tape,
 }
 
 impl DepthNoise {
@@ -93,101 +100,119 @@ impl DepthNoise {
             return;
         }
         let fb = (camera.fx * self.baseline) as f32;
-        self.find_edges(z, w, fb, &mut scratch.beside_edge);
+        self.find_edges(z, w, fb, scratch);
         let noise = Noise {
-            table: Gaussian::table(),
             own: (1.0 - self.shared as f32).max(0.0).sqrt(),
             common: (self.shared as f32).max(0.0).sqrt(),
             per_square: self.sigma(1.0, camera.fx) as f32,
             lost_above: two_sided(self.patch_loss as f32),
+            range: self.range.map(|v| v as f32),
         };
         scratch.shared.resize(w, 0.0);
         scratch.lost.resize(w, 0.0);
+        scratch.second.resize(w, 0.0);
         let mut shared = Patches::new(w, self.patch, key(seed, frame, 1));
         let mut lost = Patches::new(w, self.loss_patch, key(seed, frame, 2));
-        let pixel_key = key(seed, frame, 3);
-        let near_far = self.range.map(|v| v as f32);
+        let (pixel_key, row_key) = (key(seed, frame, 3), key(seed, frame, 4));
         let rays_x: Vec<f32> =
             (0..w).map(|x| ((x as f64 - camera.cx) / camera.fx) as f32).collect();
-        for y in 0..h {
+        for (y, out) in out.data.chunks_exact_mut(w).enumerate() {
             shared.row(y, &mut scratch.shared);
             lost.row(y, &mut scratch.lost);
             let ray_y = ((y as f64 - camera.cy) / camera.fy) as f32;
-            // Smallest column in the second imager of anything further right: what lies to the
-            // right of it there is hidden.
-            let mut hidden_from = f32::MAX;
-            for x in (0..w).rev() {
-                let i = y * w + x;
-                let here = z[i];
-                if here <= 0.0 {
-                    out.data[i] = 0.0;
+            let span = y * w..(y + 1) * w;
+            let own = scratch.tape.row(hash(row_key ^ y as u32), w);
+            let here = &z[span.clone()];
+            noise.read(here, own, &scratch.shared, &scratch.lost, out);
+            let drawn = |x: usize| unit(hash(pixel_key ^ (span.start + x) as u32) >> 16);
+            self.lose_grazing(&exact.normals[span.clone()], &rays_x, ray_y, drawn, out);
+            // What lies beside an edge is read anew, from a pixel nearby.
+            for (x, beside) in scratch.beside_edge[span.clone()].iter().enumerate() {
+                if *beside == 0 || out[x] == 0.0 {
                     continue;
                 }
-                let bits = hash(pixel_key ^ i as u32);
-                let second = x as f32 - fb / here;
-                let hidden = second > hidden_from;
-                hidden_from = hidden_from.min(second);
-                let n = &exact.normals[i];
-                let across = n[0] * rays_x[x] + n[1] * ray_y + n[2];
-                let square = across * across;
-                let ray = rays_x[x] * rays_x[x] + ray_y * ray_y + 1.0;
-                let begin = self.grazing_begin as f32;
-                let grazing = square < begin * begin * ray && {
-                    let cos = square.sqrt() / ray.sqrt();
-                    let end = self.grazing_end as f32;
-                    unit(bits >> 16) < (begin - cos) / (begin - end).max(1e-6)
+                let bits = hash(pixel_key ^ (span.start + x) as u32);
+                out[x] = if unit(hash(bits)) < self.edge_loss as f32 {
+                    0.0
+                } else {
+                    let source = self.displaced(z, (w, h), (x, y), bits);
+                    noise.one(source, own[x], scratch.shared[x])
                 };
-                let beside = scratch.beside_edge[i];
-                if grazing
-                    || scratch.lost[x].abs() > noise.lost_above
-                    || (hidden && unit(bits >> 12) < 0.9)
-                    || (beside && unit(hash(bits)) < self.edge_loss as f32)
-                {
-                    out.data[i] = 0.0;
-                    continue;
+            }
+            // Right to left: what falls left of it in the second imager is hidden behind it there.
+            for (x, (to, z)) in scratch.second.iter_mut().zip(here).enumerate() {
+                *to = if *z > 0.0 { x as f32 - fb / z } else { f32::MAX };
+            }
+            let mut hidden_from = f32::MAX;
+            for (x, second) in scratch.second.iter().enumerate().rev() {
+                if *second > hidden_from {
+                    let bits = hash(pixel_key ^ (span.start + x) as u32);
+                    if unit(bits >> 12) < 0.9 {
+                        out[x] = 0.0;
+                    }
+                } else {
+                    hidden_from = *second;
                 }
-                let source = if beside { self.displaced(z, (w, h), (x, y), bits) } else { here };
-                let sigma = noise.per_square * source * source;
-                let own = noise.table.at(bits);
-                let read = source + sigma * (noise.own * own + noise.common * scratch.shared[x]);
-                let valid = read > near_far[0] && read < near_far[1];
-                out.data[i] = if valid { quantise(read) } else { 0.0 };
+            }
+        }
+    }
+
+    /// Loses readings of surfaces seen at a grazing angle; `drawn` gives a uniform number by column.
+    fn lose_grazing(
+        &self,
+        normals: &[[f32; 3]],
+        rays_x: &[f32],
+        ray_y: f32,
+        drawn: impl Fn(usize) -> f32,
+        out: &mut [f32],
+    ) {
+        let (begin, end) = (self.grazing_begin as f32, self.grazing_end as f32);
+        let above = ray_y * ray_y + 1.0;
+        for (x, (n, ray_x)) in normals.iter().zip(rays_x).enumerate() {
+            let across = n[0] * ray_x + n[1] * ray_y + n[2];
+            let ray = ray_x * ray_x + above;
+            if across * across < begin * begin * ray {
+                let cos = across.abs() / ray.sqrt();
+                if drawn(x) < (begin - cos) / (begin - end).max(1e-6) {
+                    out[x] = 0.0;
+                }
             }
         }
     }
 
     /// Marks pixels within reach of a step in disparity.
-    fn find_edges(&self, z: &[f32], w: usize, fb: f32, beside: &mut Vec<bool>) {
-        beside.clear();
-        beside.resize(z.len(), false);
+    fn find_edges(&self, z: &[f32], w: usize, fb: f32, scratch: &mut Scratch) {
+        let Scratch { beside_edge, reached, edge, .. } = scratch;
+        beside_edge.clear();
+        beside_edge.resize(z.len(), 0);
+        reached.clear();
+        reached.resize(z.len(), 0);
+        edge.resize(w, 0);
         if w == 0 {
             return;
         }
-        let h = z.len() / w;
         let reach = self.edge_reach;
         let step = self.edge_step as f32 / fb;
         // |1/a - 1/b| > step, without the divisions; a missing neighbour (0) is a step too.
-        let edge = |a: f32, b: f32| (a - b).abs() > step * a * b && a + b > 0.0;
-        let mut mark = |x: usize, y: usize| {
+        let is_edge = |a: f32, b: f32| u8::from(((a - b).abs() > step * a * b) & (a + b > 0.0));
+        for (y, row) in z.chunks_exact(w).enumerate() {
+            let above = if y > 0 { &z[(y - 1) * w..y * w] } else { row };
+            for ((e, a), b) in edge.iter_mut().zip(above).zip(row) {
+                *e = is_edge(*a, *b);
+            }
+            for ((e, a), b) in edge[1..].iter_mut().zip(row).zip(&row[1..]) {
+                *e |= is_edge(*a, *b);
+            }
+            let reached = &mut reached[y * w..(y + 1) * w];
+            for d in 0..=reach.min(w - 1) {
+                or(&mut reached[d..], edge);
+                or(reached, &edge[d..]);
+            }
+        }
+        for (y, row) in reached.chunks_exact(w).enumerate() {
+            let h = z.len() / w;
             for yy in y.saturating_sub(reach)..(y + reach + 1).min(h) {
-                let row = yy * w;
-                beside[row + x.saturating_sub(reach)..row + (x + reach + 1).min(w)].fill(true);
-            }
-        };
-        for y in 0..h {
-            let row = &z[y * w..(y + 1) * w];
-            for x in 1..w {
-                if edge(row[x - 1], row[x]) {
-                    mark(x, y);
-                }
-            }
-            if y > 0 {
-                let above = &z[(y - 1) * w..y * w];
-                for x in 0..w {
-                    if edge(above[x], row[x]) {
-                        mark(x, y);
-                    }
-                }
+                or(&mut beside_edge[yy * w..(yy + 1) * w], row);
             }
         }
     }
@@ -221,18 +246,46 @@ impl DepthNoise {
     }
 }
 
+/// Marks what is marked in `from`, as far as both go.
+fn or(to: &mut [u8], from: &[u8]) {
+    for (to, from) in to.iter_mut().zip(from) {
+        *to |= from;
+    }
+}
+
 /// Constants of one frame.
 struct Noise {
-    table: &'static Gaussian,
     own: f32,
     common: f32,
     per_square: f32,
     lost_above: f32,
+    range: [f32; 2],
 }
 
-/// Whole millimetres. (A cast truncates; `round` is a library call on the baseline processor.)
+impl Noise {
+    /// What is read at distance `z` (m) with standard normal numbers of the pixel and of its patch.
+    fn one(&self, z: f32, own: f32, shared: f32) -> f32 {
+        let read = z + self.per_square * z * z * (self.own * own + self.common * shared);
+        // Bitwise: without branches the compiler does eight pixels at once.
+        let valid = (z > 0.0) & (read > self.range[0]) & (read < self.range[1]);
+        if valid { quantise(read) } else { 0.0 }
+    }
+
+    /// A row of readings; whole patches are lost where the field `lost` is extreme.
+    fn read(&self, z: &[f32], own: &[f32], shared: &[f32], lost: &[f32], out: &mut [f32]) {
+        for ((((to, z), own), shared), lost) in
+            out.iter_mut().zip(z).zip(own).zip(shared).zip(lost)
+        {
+            let read = self.one(*z, *own, *shared);
+            *to = if lost.abs() > self.lost_above { 0.0 } else { read };
+        }
+    }
+}
+
+/// Whole millimetres. Above 2^23 a float has no fraction left: adding it rounds, in one instruction.
 fn quantise(z: f32) -> f32 {
-    (z * 1000.0 + 0.5) as i32 as f32 / 1000.0
+    const ROUND: f32 = 8_388_608.0;
+    ((z * 1000.0 + ROUND) - ROUND) / 1000.0
 }
 
 /// The value that a standard normal number exceeds in size with the given probability.

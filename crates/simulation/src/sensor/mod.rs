@@ -99,6 +99,12 @@ impl RgbdSensor {
         }
     }
 
+    /// The first `count` items of every scene are the same meshes from picture to picture; see
+    /// [`Renderer::still`].
+    pub fn keep_still(&mut self, count: usize) {
+        self.renderer.still = count;
+    }
+
     /// The configuration in use.
     pub fn config(&self) -> &SensorConfig {
         &self.config

@@ -59,6 +59,25 @@ impl Gaussian {
     }
 }
 
+/// A long row of standard normal numbers, read from places picked by hash: as good for an image as one
+/// draw a pixel, and without a hash for each.
+#[derive(Debug, Default)]
+pub(crate) struct Tape(Vec<f32>);
+
+/// Places from which a tape is read.
+const STARTS: usize = 1 << 18;
+
+impl Tape {
+    /// `width` numbers from the place that the hash picks.
+    pub(crate) fn row(&mut self, bits: u32, width: usize) -> &[f32] {
+        let table = Gaussian::table();
+        let have = self.0.len() as u32;
+        self.0.extend((have..(STARTS + width) as u32).map(|i| table.at(hash(i ^ 0x7a3e))));
+        let start = bits as usize % STARTS;
+        &self.0[start..start + width]
+    }
+}
+
 /// A standard normal field that is smooth over patches of `cell` pixels: normal numbers on a coarse
 /// grid, interpolated, and rescaled so that every pixel has unit variance.
 pub(crate) struct Patches {
@@ -120,6 +139,19 @@ mod tests {
         assert!(mean.abs() < 0.03 && (variance - 1.0).abs() < 0.05, "{mean} {variance}");
         let lag = |d: usize| all.windows(d + 1).map(|v| v[0] * v[d]).sum::<f32>() / (n * variance);
         assert!(lag(1) > 0.8 && lag(20).abs() < 0.05, "{} {}", lag(1), lag(20));
+    }
+
+    #[test]
+    fn the_tape_has_unit_variance_and_rows_differ() {
+        let mut tape = Tape::default();
+        let (a, b) = (tape.row(hash(1), 1920).to_vec(), tape.row(hash(2), 1920).to_vec());
+        assert_eq!(a, tape.row(hash(1), 1920));
+        let n = tape.0.len() as f32;
+        let mean = tape.0.iter().sum::<f32>() / n;
+        let variance = tape.0.iter().map(|v| v * v).sum::<f32>() / n;
+        assert!(mean.abs() < 0.01 && (variance - 1.0).abs() < 0.01, "{mean} {variance}");
+        let common = a.iter().zip(&b).map(|(a, b)| a * b).sum::<f32>() / 1920.0;
+        assert!(common.abs() < 0.1, "{common}");
     }
 
     #[test]

@@ -1,0 +1,143 @@
+//! `tdv eval tracking`: a recorded data set with reference poses, in process or through the live graph.
+
+use crate::arguments::TrackingArgs;
+use crate::eval::write_json;
+use crate::launch;
+use anyhow::{Context as _, bail};
+use std::collections::BTreeMap;
+use std::path::Path;
+use tdv_evaluation::{TrackingFrame, TrackingReport};
+use tdv_geometry::{Pose, Symmetry};
+use tdv_msgs::tdv_msgs::msg::TrackedObject;
+use tdv_perception::visp::{self, Sequence};
+use tdv_perception::{Perceiver, PerceiverConfig};
+use tdv_runtime::camera_bag::CameraBagWriter;
+use tdv_runtime::tracked;
+use tdv_runtime::trial::{TrialSetup, run_replay};
+
+/// Quality of the bag's JPEG images: nearly lossless.
+const QUALITY: u8 = 97;
+/// Seconds for the whole replay.
+const PATIENCE: f64 = 60.0;
+/// A turn (rad) between two frames that only a change of the symmetric equivalent explains.
+const JUMP: f64 = 0.7;
+
+/// Tracks the object of a data set and compares with its reference.
+pub fn run(args: &TrackingArgs) -> anyhow::Result<bool> {
+    if args.object != "cube" {
+        bail!("the data set has reference poses of the cube only, not of {:?}", args.object);
+    }
+    let sequence = Sequence::open(&args.dataset)?;
+    if !args.live {
+        let summary = visp::evaluate_visp(&args.dataset)?;
+        println!("{summary:#?}");
+        if let Some(path) = &args.json {
+            write_json(path, &serde_json::json!({ "summary": summary }))?;
+        }
+        return Ok(summary.lost == 0);
+    }
+    let report = live(args, &sequence)?;
+    println!("{:#?}", report.summary);
+    if let Some(path) = &args.json {
+        write_json(path, &report)?;
+    }
+    Ok(report.summary.lost == 0)
+}
+
+/// The data set as a bag, with the camera's pose such that the table of the first frame is z = 0.
+///
+/// # Errors
+/// A file of the data set is missing or broken, no table is in view, or the bag cannot be written.
+pub fn import(sequence: &Sequence, bag: &Path) -> anyhow::Result<Pose> {
+    let config = PerceiverConfig { prompt: "track the cube".into(), ..Default::default() };
+    let mut perceiver = Perceiver::new(config, vec![sequence.cube()?]);
+    let table = perceiver
+        .step(&sequence.frame(0)?)?
+        .table
+        .context("no table plane is in the first frame")?;
+    let t_base_camera = table.pose.inverse();
+    let mut writer = CameraBagWriter::create(bag, sequence.intrinsics, t_base_camera, QUALITY)?;
+    for index in 0..sequence.len {
+        let frame = sequence.frame(index)?;
+        writer.frame(frame.stamp, &frame.color, &frame.depth)?;
+    }
+    writer.finish()?;
+    Ok(t_base_camera)
+}
+
+/// A catalogue that holds the cube alone.
+fn catalogue(dataset: &Path, folder: &Path) -> anyhow::Result<()> {
+    let cube = folder.join("cube");
+    std::fs::create_dir_all(&cube)?;
+    let source = dataset.join("models/cube");
+    for file in ["cube.obj", "cube.mtl"] {
+        std::fs::copy(source.join(file), cube.join(file))
+            .with_context(|| source.join(file).display().to_string())?;
+    }
+    let text = "# The cube of the ViSP data set; its mesh is untextured.\n\
+                name: cube\nsynonyms: [block, box]\ncolors: []\nmesh: cube.obj\nsymmetry: cube\n\
+                mass: 0.1\nfriction: 0.5\npalette: []\ncollision: []\n";
+    std::fs::write(cube.join("object.yaml"), text)?;
+    Ok(())
+}
+
+fn live(args: &TrackingArgs, sequence: &Sequence) -> anyhow::Result<TrackingReport> {
+    let (bag, objects) = (args.run.join("bag"), args.run.join("objects"));
+    if bag.exists() {
+        std::fs::remove_dir_all(&bag).with_context(|| bag.display().to_string())?;
+    }
+    std::fs::create_dir_all(&args.run)?;
+    let t_base_camera = import(sequence, &bag)?;
+    catalogue(&args.dataset, &objects)?;
+    let launch_file = Path::new("launch_scripts/replay.launch.yaml");
+    let arguments = [
+        ("bag", bag.display().to_string()),
+        ("task", "''".into()),
+        ("prompt", "track the cube".into()),
+        ("objects", "[cube]".into()),
+        ("objects_dir", objects.display().to_string()),
+        ("level", "false".into()),
+        ("policy", "false".into()),
+    ];
+    let outcome = run_replay(&TrialSetup {
+        launch_file: launch_file.into(),
+        share: launch::share(launch_file),
+        arguments: arguments.into_iter().map(|(k, v)| (k.to_owned(), v)).collect::<BTreeMap<_, _>>(),
+        log_folder: args.run.join("logs"),
+        domain: 59,
+        patience: PATIENCE,
+        pictures: false,
+        kill: None,
+        bag: None,
+    })?;
+    for exit in &outcome.exits {
+        println!("{} ended ({:?}); see {}", exit.name, exit.code, args.run.join("logs").display());
+    }
+    let (mut frames, mut jumps, mut last) = (Vec::new(), 0, None::<Pose>);
+    for index in 0..sequence.len {
+        let stamp = visp::stamp_of(index);
+        let pose = outcome.objects.get(&stamp).and_then(|all| {
+            let seen = all.objects.iter().find(|o| o.name == "cube")?;
+            if !matches!(seen.state, TrackedObject::TRACKING | TrackedObject::OCCLUDED) {
+                return None;
+            }
+            Some(t_base_camera.inverse() * tracked::usable_pose(all, "cube")?)
+        });
+        if let (Some(last), Some(pose)) = (&last, &pose) {
+            jumps += usize::from(last.rotation.angle_to(&pose.rotation) > JUMP);
+        }
+        last = pose.or(last);
+        let error = pose.and_then(|pose| match sequence.reference.get(index) {
+            Some((truth, true)) => Some(Symmetry::Cube.distance(&pose, truth)),
+            _ => None,
+        });
+        frames.push(TrackingFrame {
+            frame: index,
+            tracked: pose.is_some(),
+            translation_mm: error.map(|(d, _)| 1e3 * d),
+            rotation_deg: error.map(|(_, a)| a.to_degrees()),
+            ms: outcome.delay_ms.get(&stamp).copied().unwrap_or(f64::NAN),
+        });
+    }
+    Ok(TrackingReport::new(frames, jumps))
+}
