@@ -38,4 +38,9 @@ have git || missing+=(git)
 rust_suits || apt_install rustc-web cargo-web
 rust_suits || { echo "setup: Rust $wanted or newer is needed; https://rustup.rs installs it" >&2; exit 1; }
 
+# .cargo/config.toml asks for the instructions of 2013; an older processor gets the baseline.
+if [ "$(uname -m)" = x86_64 ] && ! grep -qw avx2 /proc/cpuinfo; then
+    export RUSTFLAGS="-C target-cpu=x86-64"
+fi
+
 "$root/launch_scripts/fetch_hand_models.sh"

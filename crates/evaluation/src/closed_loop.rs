@@ -3,6 +3,19 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
+/// A node that was killed while the arm moved.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Fault {
+    /// The node.
+    pub node: String,
+    /// Fastest joint when it was killed, rad/s.
+    pub speed: f64,
+    /// Milliseconds from the kill until the arm was at rest; `None` when it did not come to rest.
+    pub rest_ms: Option<f64>,
+    /// What the operator was told meanwhile.
+    pub sentence: String,
+}
+
 /// One trial of the closed loop, judged on the lab's truth.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Trial {
@@ -22,6 +35,9 @@ pub struct Trial {
     pub real_time_factor: f64,
     /// Why it ended as it did.
     pub reason: String,
+    /// What was done to it, if anything.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fault: Option<Fault>,
 }
 
 /// Median and 99th percentile, milliseconds.
@@ -171,6 +187,7 @@ mod tests {
             duration_s: 20.0,
             real_time_factor: 0.99,
             reason: "placed".into(),
+            fault: None,
         }
     }
 

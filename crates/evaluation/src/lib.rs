@@ -7,7 +7,7 @@ mod plot;
 mod statistics;
 mod tracking;
 
-pub use closed_loop::{ClosedLoopReport, ClosedLoopSummary, LatencyFigures, Trial};
+pub use closed_loop::{ClosedLoopReport, ClosedLoopSummary, Fault, LatencyFigures, Trial};
 pub use page::Page;
 pub use plot::{LinePlot, Series, TopView};
 pub use statistics::{percentile, wilson_interval};

@@ -91,6 +91,9 @@ pub struct LaunchArgs {
     /// Write each node's output to a file in this folder
     #[arg(long)]
     pub logs: Option<PathBuf>,
+    /// End all nodes when this one has ended, such as camera_replay at the end of its bag
+    #[arg(long)]
+    pub until: Option<String>,
 }
 
 #[derive(Args)]
@@ -164,7 +167,8 @@ pub struct ClosedLoopArgs {
     /// Control: every grasp is commanded this far off (m, along x)
     #[arg(long, default_value_t = 0.0)]
     pub grasp_offset: f64,
-    /// Kill this node while the arm moves, and start it again
+    /// Kill this node while the arm moves, and start it again a second later; 'each': another one in
+    /// each trial
     #[arg(long)]
     pub kill: Option<String>,
     /// Launch file

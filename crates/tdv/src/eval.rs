@@ -4,7 +4,7 @@ use anyhow::{Context as _, bail};
 use std::collections::BTreeMap;
 use std::path::Path;
 use tdv_demonstration::{Demonstration, Task};
-use tdv_evaluation::{ClosedLoopReport, Trial};
+use tdv_evaluation::{ClosedLoopReport, Fault, Trial};
 use tdv_geometry::yaw_of;
 use tdv_runtime::trial::{TrialOutcome, TrialSetup, run_trial};
 use tdv_simulation::Scene;
@@ -12,10 +12,23 @@ use tdv_simulation::Scene;
 /// Seconds of the clock that a trial may take: the task's limit and the start of eight processes.
 const PATIENCE: f64 = 85.0;
 
+/// The nodes that may die; without the lab there is no robot.
+const NODES: [&str; 6] = [
+    "perception_bridge",
+    "pose_tracker",
+    "switch_policy",
+    "diffusion_policy",
+    "arm_controller",
+    "ur5_driver",
+];
+
 /// Trials of the live graph. True when all succeeded.
 pub fn closed_loop(args: &ClosedLoopArgs) -> anyhow::Result<bool> {
     if !args.live {
         bail!("give --live: trials in process come with a later version");
+    }
+    if let Some(name) = args.kill.as_deref().filter(|n| *n != "each" && !NODES.contains(n)) {
+        bail!("--kill {name:?}: expected 'each' or one of {}", NODES.join(", "));
     }
     let task = Task::load(&args.task)?;
     let model = args.model.clone().unwrap_or_else(|| Path::new("models").join(&task.name));
@@ -37,8 +50,10 @@ pub fn closed_loop(args: &ClosedLoopArgs) -> anyhow::Result<bool> {
             trial.duration_s,
             trial.reason
         );
-        for line in &outcome.story {
-            println!("    {line}");
+        if !trial.success || args.kill.is_some() {
+            for line in &outcome.story {
+                println!("    {line}");
+            }
         }
         if let Some(f) = &outcome.fault {
             println!(
@@ -133,7 +148,10 @@ fn setup(
         domain: 60 + (seed % 40) as u16,
         patience: PATIENCE,
         pictures: args.pictures,
-        kill: args.kill.clone(),
+        kill: args.kill.as_ref().map(|name| match name.as_str() {
+            "each" => NODES[(seed - args.seed) as usize % NODES.len()].to_owned(),
+            _ => name.clone(),
+        }),
         bag: args.bag.then(|| args.run.join(format!("trial_{seed}"))),
     }
 }
@@ -158,6 +176,7 @@ fn trial(task: &Task, seed: u64, outcome: &TrialOutcome) -> Trial {
             duration_s: outcome.wall,
             real_time_factor: f64::NAN,
             reason,
+            fault: None,
         };
     };
     let mut reason = if v.finished { v.reason.clone() } else { format!("given up: {}", v.reason) };
@@ -173,6 +192,12 @@ fn trial(task: &Task, seed: u64, outcome: &TrialOutcome) -> Trial {
         duration_s: v.elapsed,
         real_time_factor: v.real_time_factor,
         reason,
+        fault: outcome.fault.as_ref().map(|f| Fault {
+            node: f.node.clone(),
+            speed: f.speed,
+            rest_ms: f.rest_ms,
+            sentence: f.sentence.clone(),
+        }),
     }
 }
 

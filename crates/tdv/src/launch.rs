@@ -35,6 +35,9 @@ pub fn run(args: &LaunchArgs) -> anyhow::Result<bool> {
     let options =
         StartOptions { log_folder: args.logs.clone(), ..StartOptions::beside_this_program() };
     let mut launched = Launched::start(&commands, options)?;
+    if let Some(name) = args.until.as_deref().filter(|n| !launched.names().contains(n)) {
+        bail!("--until {name:?}: the nodes are {}", launched.names().join(", "));
+    }
     println!("started {}; Ctrl-C ends them", launched.names().join(", "));
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
@@ -42,9 +45,9 @@ pub fn run(args: &LaunchArgs) -> anyhow::Result<bool> {
         .context("tokio runtime")?;
     runtime.block_on(async move {
         let mut good = true;
-        let mut left = commands.len();
+        let (mut left, mut over) = (commands.len(), false);
         let mut terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate())?;
-        while left > 0 {
+        while left > 0 && !over {
             tokio::select! {
                 _ = tokio::signal::ctrl_c() => break,
                 _ = terminate.recv() => break,
@@ -55,6 +58,7 @@ pub fn run(args: &LaunchArgs) -> anyhow::Result<bool> {
                 let how = exit.code.map_or("was killed".into(), |c| format!("ended with code {c}"));
                 println!("{} {how}", exit.name);
                 good &= exit.code == Some(0);
+                over |= args.until.as_ref() == Some(&exit.name);
             }
         }
         for name in launched.stop(Duration::from_secs(3)) {

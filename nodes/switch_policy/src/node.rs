@@ -61,9 +61,10 @@ pub async fn decide(node: Node, params: Params<SwitchParameters>) -> anyhow::Res
         async { TriggerResponse { success: true, message: "back to procedure 0".into() } }
     })?;
     node.diagnostics().level(Level::Ok, "waiting for the pose tracker");
-    let mut repeat = tokio::time::interval(REPEAT);
-    let mut held = false;
-    decision.publish(node.now());
+    decision.core.start_at(p.first_procedure as usize, node.now());
+    // Not before the controller had time to say that it is in mid-task.
+    let mut repeat = tokio::time::interval_at(tokio::time::Instant::now() + REPEAT, REPEAT);
+    let (mut held, mut adopted) = (false, false);
     loop {
         tokio::select! {
             message = objects.recv() => {
@@ -76,6 +77,11 @@ pub async fn decide(node: Node, params: Params<SwitchParameters>) -> anyhow::Res
             message = status.recv() => {
                 let Some(message) = message else { return Ok(()) };
                 held = message.object_held;
+                // After a restart in mid-task the controller, which still holds the object, knows more.
+                if !adopted {
+                    adopted = true;
+                    decision.adopt(if held { message.procedure as usize } else { 0 });
+                }
             }
             _ = repeat.tick() => {
                 if reset.swap(false, Ordering::SeqCst) {
@@ -88,6 +94,14 @@ pub async fn decide(node: Node, params: Params<SwitchParameters>) -> anyhow::Res
 }
 
 impl Decision {
+    fn adopt(&mut self, procedure: usize) {
+        if procedure > self.core.procedure() {
+            tracing::info!("started in mid-task: procedure {procedure} is on");
+            self.core.start_at(procedure, self.node.now());
+        }
+        self.publish(self.node.now());
+    }
+
     fn reset(&mut self) {
         tracing::info!("reset to procedure 0");
         self.core.reset();

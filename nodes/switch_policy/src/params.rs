@@ -6,6 +6,7 @@ use tdv_runtime::Parameters;
 #[serde(default, deny_unknown_fields)]
 pub struct SwitchParameters {
     pub model: String,
+    pub first_procedure: i64,
     pub threshold: f64,
     pub consecutive: i64,
     pub guard_position: f64,
@@ -18,6 +19,7 @@ impl Default for SwitchParameters {
     fn default() -> Self {
         Self {
             model: String::new(),
+            first_procedure: 0,
             threshold: 0.8,
             consecutive: 3,
             guard_position: 0.03,
@@ -36,6 +38,9 @@ impl Parameters for SwitchParameters {
         }
         if !(self.threshold > 0.0 && self.threshold < 1.0) {
             problems.push(format!("'threshold' is {}: between 0 and 1", self.threshold));
+        }
+        if self.first_procedure < 0 {
+            problems.push(format!("'first_procedure' is {}: 0 or more", self.first_procedure));
         }
         if self.consecutive < 1 {
             problems.push(format!("'consecutive' is {}: 1 or more", self.consecutive));
@@ -56,6 +61,7 @@ impl Parameters for SwitchParameters {
     fn describe(name: &str) -> &'static str {
         match name {
             "model" => "folder with demonstration.json and switch.safetensors",
+            "first_procedure" => "procedure to begin with; 1 to replay a recording that shows no gripper",
             "threshold" => "probability above which the end of a procedure counts",
             "consecutive" => "observations in a row above the threshold that switch",
             "guard_position" => "farther (m) from the demonstrated end there is no switch",

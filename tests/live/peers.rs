@@ -1,0 +1,44 @@
+//! The graph beside rclpy, our bags beside `rosbags`.
+
+use std::path::PathBuf;
+use std::process::Command;
+use tdv_tests::{machine, model, program, repository};
+
+/// Where launch_scripts/test.sh sets rclpy up (tests/peers/setup.sh).
+fn environment() -> Option<PathBuf> {
+    let folder = std::env::var_os("TDV_PEERS").map_or_else(|| repository().join("target/peers"), PathBuf::from);
+    let script = folder.join("env.sh");
+    if !script.is_file() {
+        println!("skipped: no rclpy; `tests/peers/setup.sh target/peers` sets it up");
+        return None;
+    }
+    Some(script)
+}
+
+fn passes(script: &str, arguments: &[&str]) {
+    let Some(environment) = environment() else { return };
+    let status = Command::new("bash")
+        .args(["-c", "source \"$0\" && exec tests/peers/netns.sh python \"$@\""])
+        .arg(environment)
+        .arg(script)
+        .args(arguments)
+        .current_dir(repository())
+        .status()
+        .unwrap();
+    assert!(status.success(), "{script}: see the lines that begin with FAIL");
+}
+
+#[test]
+fn rclpy_and_rosbags_agree_with_the_whole_graph() {
+    let Some(model) = model() else { return };
+    let _machine = machine();
+    let binaries = program("tdv").parent().unwrap().display().to_string();
+    passes("tests/peers/graph_peer.py", &[&binaries, model.to_str().unwrap()]);
+}
+
+#[test]
+fn rclpy_agrees_with_every_feature_of_the_runtime() {
+    let peer = program("examples/peer");
+    let _machine = machine();
+    passes("tests/peers/runtime_peer.py", &[peer.to_str().unwrap()]);
+}

@@ -1,0 +1,116 @@
+//! The programs under test, and a model to run them with.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::{Duration, Instant};
+
+/// Steps of the training for the tests: enough for a policy that places.
+const STEPS: &str = "300";
+
+/// The repository.
+pub fn repository() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap_or(Path::new(".."))
+}
+
+/// A program of the workspace.
+///
+/// # Panics
+/// When it has not been built: cargo builds the programs of other packages only when asked to.
+pub fn program(name: &str) -> PathBuf {
+    let here = std::env::current_exe().expect("the path of this test");
+    let folder = here.parent().and_then(Path::parent).expect("target/PROFILE/deps");
+    let path = folder.join(name);
+    assert!(path.is_file(), "{} is missing: run `cargo build --workspace --bins`", path.display());
+    path
+}
+
+/// A graph needs the whole machine and the lab's ports: one at a time.
+pub fn machine() -> MutexGuard<'static, ()> {
+    static MACHINE: Mutex<()> = Mutex::new(());
+    MACHINE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A command in the repository whose graph, if it has one, is nobody else's.
+pub fn command(name: &str, arguments: &[&str]) -> Command {
+    let mut command = Command::new(program(name));
+    command
+        .args(arguments)
+        .current_dir(repository())
+        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        .env("ROS_DOMAIN_ID", (101 + std::process::id() % 60).to_string())
+        .stdin(Stdio::null());
+    command
+}
+
+/// Runs a command to its end, for at most `patience`, and gives its code and everything it said.
+///
+/// # Panics
+/// When it does not end in time.
+pub fn run(name: &str, arguments: &[&str], patience: Duration) -> (Option<i32>, String) {
+    let mut child = command(name, arguments)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    let began = Instant::now();
+    while child.try_wait().expect("the state of a child").is_none() {
+        if began.elapsed() > patience {
+            let _ = child.kill();
+            let said = told(&child.wait_with_output().expect("output"));
+            panic!("{name} {arguments:?} did not end within {patience:?}; it said:\n{said}");
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let output = child.wait_with_output().expect("output");
+    (output.status.code(), told(&output))
+}
+
+fn told(output: &Output) -> String {
+    let text = [&output.stdout, &output.stderr].map(|b| String::from_utf8_lossy(b).into_owned());
+    text.join("\n")
+}
+
+/// A folder with a policy for the cup task, taught from the recorded demonstration once per build;
+/// none, with a message, where the hand networks are absent.
+///
+/// # Panics
+/// When teaching fails.
+pub fn model() -> Option<&'static Path> {
+    static MODEL: OnceLock<Option<PathBuf>> = OnceLock::new();
+    MODEL
+        .get_or_init(|| {
+            let networks = repository().join("models/hands/hand_landmark_full.tflite");
+            if !networks.is_file() {
+                println!("skipped: no hand networks; launch_scripts/fetch_hand_models.sh gets them");
+                return None;
+            }
+            let folder = program("tdv").with_file_name("test_model");
+            if newer(&folder.join("policy.safetensors"), &program("tdv")) {
+                return Some(folder);
+            }
+            let out = folder.display().to_string();
+            let task = "config/tasks/cup_on_coaster.yaml";
+            let bag = "rosbags/cup_on_coaster";
+            let arguments =
+                ["teach", "--task", task, "--bag", bag, "--out", &out, "--steps", STEPS];
+            let (code, said) = run("tdv", &arguments, Duration::from_secs(600));
+            assert_eq!(code, Some(0), "{said}");
+            Some(folder)
+        })
+        .as_deref()
+}
+
+fn newer(a: &Path, b: &Path) -> bool {
+    let time = |p: &Path| p.metadata().and_then(|m| m.modified());
+    matches!((time(a), time(b)), (Ok(a), Ok(b)) if a > b)
+}
+
+/// A JSON file.
+///
+/// # Panics
+/// When it is missing or broken.
+pub fn json(path: &Path) -> serde_json::Value {
+    let text = std::fs::read_to_string(path).expect("a result file");
+    serde_json::from_str(&text).expect("JSON")
+}
