@@ -66,7 +66,7 @@ class Python(Node):
         handle.succeed()
         return GripperCommand.Result(position=handle.request.command.position, reached_goal=True)
 
-    def listen(self, kind, topic, qos=10):
+    def listen(self, kind, topic, qos=32):
         self.seen[topic] = []
         # Not a bound append: the list is looked up by topic.
         self.create_subscription(kind, topic, lambda m: self.seen[topic].append(m), qos)
@@ -129,7 +129,7 @@ def run(node, until, result):
     check("latched text to Rust", until(lambda: node.seen["/tdv/peer/heard_latched"]))
 
     node.listen(String, "/tdv/peer/echo")
-    chatter = node.create_publisher(String, "/tdv/peer/chatter", 10)
+    chatter = node.create_publisher(String, "/tdv/peer/chatter", 32)
     check("subscription of Rust is seen", until(lambda: chatter.get_subscription_count() == 1))
     until(lambda: False, 0.3)
     for i in range(20):

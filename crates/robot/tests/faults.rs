@@ -101,6 +101,23 @@ fn stale_observations_stop_the_arm_within_350_ms_until_resume() {
 }
 
 #[test]
+fn without_a_word_of_the_switch_policy_the_arm_rests_within_350_ms() {
+    let mut b = strict();
+    b.run(1.2);
+    b.decide = false;
+    let last_word = b.now;
+    until_rest(&mut b);
+    assert!(b.now.since(last_word) <= 0.350, "{}", b.now.since(last_word));
+    b.run(0.3);
+    assert_eq!(b.last_code(), S::HoldStale);
+    assert!(b.last_sentence().contains("switch policy"), "{}", b.last_sentence());
+    b.decide = true;
+    b.input.requests.resume = true;
+    b.run(40.0);
+    assert_eq!(b.last_code(), S::Done, "{:?} {}", b.log.codes, b.last_sentence());
+}
+
+#[test]
 fn bad_plans_move_nothing() {
     let cases: [(&str, fn(&mut Plan)); 7] = [
         ("not a finite pose", |p| p.poses[5].translation.vector.x = f64::NAN),

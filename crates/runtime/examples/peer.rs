@@ -78,8 +78,8 @@ async fn body(node: Node, params: Params<PeerParameters>) -> anyhow::Result<()> 
         transforms: vec![convert::transform_stamped(node.now(), "base_link", "camera", &pose)],
     });
 
-    let echo = node.publisher::<Text>("~/echo", Qos::reliable(10))?;
-    node.subscribe("~/chatter", Qos::reliable(10), move |m: Text| {
+    let echo = node.publisher::<Text>("~/echo", Qos::reliable(32))?;
+    node.subscribe("~/chatter", Qos::reliable(32), move |m: Text| {
         echo.publish(Text { data: format!("heard {}", m.data) });
     })?;
     let heard_latched = node.publisher::<Text>("~/heard_latched", Qos::latched())?;

@@ -11,6 +11,7 @@ mod context;
 pub mod convert;
 mod diagnostics;
 mod error;
+mod farewell;
 mod graph;
 mod inbox;
 pub mod launch;

@@ -2,12 +2,14 @@
 
 use crate::clock::Clock;
 use crate::diagnostics::{Diagnostics, TopicCounters};
+use crate::farewell;
 use crate::inbox::{Inbox, inbox};
 use crate::names::Resolver;
 use crate::qos::Qos;
 use crate::shutdown::Shutdown;
 use crate::topics::{Publisher, into_inbox, pump};
 use crate::{Environment, RuntimeError};
+use ros2_client::dds::rustdds::RTPSEntity as _;
 use ros2_client::{Context, Message, MessageTypeName, Name, NodeName, NodeOptions};
 use std::future::Future;
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -33,6 +35,7 @@ pub(crate) struct Shared {
     clock: Clock,
     diagnostics: Diagnostics,
     shutdown: Shutdown,
+    environment: Environment,
     tasks: Mutex<Vec<AbortHandle>>,
 }
 
@@ -63,6 +66,7 @@ impl Node {
             clock: if use_sim_time { Clock::simulated() } else { Clock::system() },
             diagnostics: Diagnostics::default(),
             shutdown: Shutdown::default(),
+            environment,
             tasks: Mutex::new(Vec::new()),
         };
         let node = Self { shared: Arc::new(shared) };
@@ -291,13 +295,20 @@ impl Node {
         std::thread::sleep(FAREWELL);
         let taken = lock(&self.shared.ros).take();
         if let Some((ros, context)) = taken {
+            let guid = context.domain_participant().guid();
+            let mut key = [0_u8; 16];
+            key[..12].copy_from_slice(guid.prefix.as_ref());
+            key[12..].copy_from_slice(&PARTICIPANT_ENTITY);
             drop(ros);
             std::thread::sleep(FAREWELL);
             drop(context);
+            farewell::say(self.shared.environment, &key);
         }
     }
 }
 
+/// Entity id of every RTPS participant.
+const PARTICIPANT_ENTITY: [u8; 4] = [0, 0, 1, 0xc1];
 /// Time for the last messages to go out.
 const FAREWELL: Duration = Duration::from_millis(100);
 

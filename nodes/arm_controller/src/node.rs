@@ -113,7 +113,8 @@ fn subscribe_task(node: &Node, p: &ArmParameters, input: &SharedInput) -> anyhow
     })?;
     let shared = input.clone();
     node.subscribe("/switch_policy/procedure", Qos::latched(), move |m: Procedure| {
-        let state = ProcedureState { procedure: m.procedure, complete: m.complete };
+        let stamp = tracked::stamp(&m.header);
+        let state = ProcedureState { stamp, procedure: m.procedure, complete: m.complete };
         with(&shared, |i| i.procedure = Some(state));
     })?;
     let shared = input.clone();

@@ -24,16 +24,8 @@ struct Decision {
     output: Publisher<Procedure>,
 }
 
-/// The node's life.
-pub async fn decide(node: Node, params: Params<SwitchParameters>) -> anyhow::Result<()> {
-    let p = params.get();
-    let folder = Path::new(&p.model);
-    let demonstration = Demonstration::load(&folder.join("demonstration.json"))
-        .context("`tdv teach` writes the model folder")?;
-    let names: Vec<&str> = demonstration.procedures.iter().map(|d| d.name.as_str()).collect();
-    let policy =
-        SwitchPolicy::load_for(&folder.join("switch.safetensors"), &demonstration.task, &names)?;
-    let config = SwitchConfig {
+fn settings(p: &SwitchParameters, policy: &SwitchPolicy) -> SwitchConfig {
+    SwitchConfig {
         threshold: p.threshold as f32,
         consecutive: p.consecutive as usize,
         guard: Some(SwitchGuard {
@@ -42,11 +34,22 @@ pub async fn decide(node: Node, params: Params<SwitchParameters>) -> anyhow::Res
             rotation: p.guard_rotation,
         }),
         timeout: Some(p.timeout),
-    };
+    }
+}
+
+/// The node's life.
+pub async fn decide(node: Node, mut params: Params<SwitchParameters>) -> anyhow::Result<()> {
+    let p = params.get();
+    let folder = Path::new(&p.model);
+    let demonstration = Demonstration::load(&folder.join("demonstration.json"))
+        .context("`tdv teach` writes the model folder")?;
+    let names: Vec<&str> = demonstration.procedures.iter().map(|d| d.name.as_str()).collect();
+    let policy =
+        SwitchPolicy::load_for(&folder.join("switch.safetensors"), &demonstration.task, &names)?;
     let history =
         HistoryConfig { length: policy.history_len(), dt: policy.dt, max_gap: p.max_gap };
     let mut decision = Decision {
-        core: SwitchCore::new(names.len(), config)?,
+        core: SwitchCore::new(names.len(), settings(&p, &policy))?,
         observer: Observer::new(&demonstration, history)?,
         policy,
         output: node.publisher("/switch_policy/procedure", Qos::latched())?,
@@ -83,6 +86,7 @@ pub async fn decide(node: Node, params: Params<SwitchParameters>) -> anyhow::Res
                     decision.adopt(if held { message.procedure as usize } else { 0 });
                 }
             }
+            p = params.changed() => decision.core.configure(settings(&p, &decision.policy))?,
             _ = repeat.tick() => {
                 if reset.swap(false, Ordering::SeqCst) {
                     decision.reset();
@@ -113,6 +117,12 @@ impl Decision {
     /// their progress.
     fn observe(&mut self, objects: &TrackedObjects, held: bool) {
         let stamp = tracked::stamp(&objects.header);
+        self.decide(stamp, objects, held);
+        // Also when nothing has changed: the controller does not move without a fresh word.
+        self.publish(stamp);
+    }
+
+    fn decide(&mut self, stamp: Stamp, objects: &TrackedObjects, held: bool) {
         let procedure = self.core.procedure();
         let carries = self.observer.names(procedure).is_some_and(|(_, moving, _)| moving != "tcp");
         if carries && !held && !self.core.state().complete {
@@ -139,7 +149,6 @@ impl Decision {
         self.report(&state);
         if state.switched {
             tracing::info!("procedure {procedure} is done (p = {probability:.3})");
-            self.publish(stamp);
         }
     }
 

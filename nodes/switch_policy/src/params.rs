@@ -58,6 +58,10 @@ impl Parameters for SwitchParameters {
         problems
     }
 
+    fn live() -> &'static [&'static str] {
+        &["threshold", "consecutive", "guard_position", "guard_rotation", "timeout"]
+    }
+
     fn describe(name: &str) -> &'static str {
         match name {
             "model" => "folder with demonstration.json and switch.safetensors",

@@ -175,6 +175,15 @@ impl SwitchCore {
         self.began = None;
     }
 
+    /// Other settings from now on; the procedure stays.
+    ///
+    /// # Errors
+    /// As [`SwitchCore::new`]; nothing is changed then.
+    pub fn configure(&mut self, config: SwitchConfig) -> Result<(), PolicyError> {
+        self.config = Self::new(self.state.count, config)?.config;
+        Ok(())
+    }
+
     /// Starts at a given procedure (the last one if there are fewer).
     pub fn start_at(&mut self, procedure: usize, now: Stamp) {
         self.reset();

@@ -138,6 +138,7 @@ impl ArmController {
         if self.commanded.is_none() {
             return self.output(now, None, Some(self.waiting_sentence(input, now)));
         }
+        let held = self.hold.is_some();
         self.requests(now, input);
         self.guards(now, input, joints.as_ref(), scaling);
         self.try_resume(now, input, joints.as_ref());
@@ -145,6 +146,9 @@ impl ArmController {
         if self.hold.is_none() {
             let motion = self.advance(now, dt, input);
             path = self.emit(now, motion);
+        }
+        if self.hold.is_some() && !held {
+            path = self.brake(now);
         }
         self.output(now, path, None)
     }
@@ -303,7 +307,7 @@ impl ArmController {
         let fresh = || {
             input.plan.as_ref().is_some_and(|p| {
                 p.procedure == self.procedure && now.since(p.stamp) <= self.params.stale_after
-            })
+            }) && input.procedure.is_some_and(|p| now.since(p.stamp) <= self.params.stale_after)
         };
         let by_itself = self.params.auto_resume
             && h.cause.ends_by_itself()
@@ -333,6 +337,18 @@ impl ArmController {
         self.follower.clear();
         self.refused = None;
         self.phase.resumed();
+    }
+
+    /// Begins the deceleration at once instead of at the end of the last trajectory; none when it has begun.
+    fn brake(&mut self, now: Stamp) -> Option<JointPath> {
+        let c = self.commanded.as_ref()?;
+        if c.elapsed >= c.path.law_time() {
+            return None;
+        }
+        let path = Projection::stop(c.path.sample(c.elapsed), &self.params);
+        let out = path.path(now, 0.0);
+        self.commanded = Some(Commanded { path, elapsed: 0.0 });
+        Some(out)
     }
 
     fn emit(&mut self, now: Stamp, motion: Motion) -> Option<JointPath> {

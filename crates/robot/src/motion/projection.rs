@@ -70,7 +70,13 @@ impl Projection {
         Self { states: vec![MotionState::at_rest(q)], tick: p.tick, stop_time: p.stop_time() }
     }
 
-    fn law_time(&self) -> f64 {
+    /// To rest from `start`, from now on.
+    pub fn stop(start: MotionState, p: &ControllerParams) -> Self {
+        Self { states: vec![start], tick: p.tick, stop_time: p.stop_time() }
+    }
+
+    /// Seconds before the deceleration begins.
+    pub fn law_time(&self) -> f64 {
         self.tick * (self.states.len() - 1) as f64
     }
 

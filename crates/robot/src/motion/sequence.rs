@@ -2,7 +2,9 @@
 
 use super::controller::{ArmController, Motion};
 use super::hold::Cause;
-use super::types::{ControllerInput, GripperFeedback, GripperRequest, StatusCode};
+use super::types::{
+    ControllerInput, GripperFeedback, GripperRequest, ProcedureState, StatusCode,
+};
 use crate::gripper::gap_from_knuckle;
 use crate::kinematics::Joints;
 use tdv_geometry::{Pose, Stamp, pose_distance};
@@ -100,7 +102,7 @@ impl ArmController {
                 Motion::Rest
             }
             Phase::Open { purpose, sent } => self.open(now, input, purpose, sent),
-            Phase::Follow => self.follow(now, input, procedure.complete),
+            Phase::Follow => self.follow(now, input, procedure),
             Phase::Close { sent } => self.close(now, input, sent),
             Phase::AwaitAttach { since } => {
                 if self.object_lost(now, input) {
@@ -164,11 +166,16 @@ impl ArmController {
         };
     }
 
-    fn follow(&mut self, now: Stamp, input: &ControllerInput, complete: bool) -> Motion {
+    fn follow(
+        &mut self,
+        now: Stamp,
+        input: &ControllerInput,
+        procedure: ProcedureState,
+    ) -> Motion {
         if self.held && self.object_lost(now, input) {
             return Motion::Rest;
         }
-        if complete {
+        if procedure.complete {
             self.follower.clear();
             self.phase = if self.held { Phase::Dwell { since: now } } else { Phase::Done };
             return Motion::Rest;
@@ -195,6 +202,15 @@ impl ArmController {
             }
         }
         match self.follower.age(now) {
+            Some(_) if now.since(procedure.stamp) > self.params.stale_after => {
+                let text = format!(
+                    "the switch policy's last word is {:.0} ms old, {:.0} ms is allowed",
+                    now.since(procedure.stamp) * 1e3,
+                    self.params.stale_after * 1e3
+                );
+                self.hold(now, Cause::Stale, text);
+                Motion::Rest
+            }
             Some(age) if age > self.params.stale_after => {
                 let why =
                     if self.note.is_empty() { String::new() } else { format!("; {}", self.note) };

@@ -44,6 +44,8 @@ pub struct JointState {
 /// Newest word of the switch policy.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ProcedureState {
+    /// Of the observation it was decided on, or of its repetition.
+    pub stamp: Stamp,
     /// Current procedure.
     pub procedure: u32,
     /// The last procedure has ended: release.

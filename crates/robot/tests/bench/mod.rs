@@ -116,6 +116,8 @@ pub struct Bench {
     pub attach: Pose,
     pub knuckle: f64,
     pub perceive: bool,
+    /// The switch policy lives.
+    pub decide: bool,
     pub alive: bool,
     /// Whether the driver is told the trajectories' start, or starts on arrival.
     pub stamped: bool,
@@ -169,6 +171,7 @@ impl Bench {
             attach,
             knuckle: 0.0,
             perceive: true,
+            decide: true,
             alive: true,
             stamped: false,
             guard: Some(TargetGuard::new(&Limits::default())),
@@ -240,8 +243,13 @@ impl Bench {
         }
         self.gripper();
         self.input.joints = Some(JointState { stamp: self.now, q: self.q, qd: self.qd });
-        self.input.procedure =
-            Some(ProcedureState { procedure: self.procedure, complete: self.complete });
+        if self.decide {
+            self.input.procedure = Some(ProcedureState {
+                stamp: self.now,
+                procedure: self.procedure,
+                complete: self.complete,
+            });
+        }
         if !self.alive {
             return None;
         }
