@@ -70,6 +70,8 @@ pub struct TrialOutcome {
     pub wall: f64,
     /// The bag of the run.
     pub bag: Option<PathBuf>,
+    /// Since when the controller says that the task is done.
+    pub done: Option<Instant>,
     /// What the kill did, when one was asked for and the arm moved.
     pub fault: Option<FaultFigures>,
 }
@@ -87,6 +89,9 @@ pub enum TrialError {
     #[error(transparent)]
     Record(#[from] RecordError),
 }
+
+/// The lab's verdict comes within this time after the controller is done, or the trial has failed.
+const AFTER_DONE: Duration = Duration::from_secs(5);
 
 /// What a bag of a run leaves out: images at full rate. The runner writes its pictures instead.
 const TOO_MUCH: [&str; 3] = [
@@ -204,7 +209,9 @@ async fn watch_trial(setup: &TrialSetup) -> Result<TrialOutcome, TrialError> {
                 }
             }
         }
-        let finished = outcome.verdict.as_ref().is_some_and(|v| v.finished);
+        // The robot has done all that it will do: the judge has had its time.
+        let idle = outcome.done.is_some_and(|t| t.elapsed() > AFTER_DONE);
+        let finished = idle || outcome.verdict.as_ref().is_some_and(|v| v.finished);
         if finished || died || began.elapsed().as_secs_f64() > setup.patience {
             break;
         }
@@ -268,6 +275,7 @@ fn collect(
         stages.command(now);
     }
     while let Some(m) = watch.status.try_recv() {
+        outcome.done = if m.done { outcome.done.or(Some(now)) } else { None };
         if let Some(fault) = fault {
             fault.sentence("arm_controller", &m.sentence);
         }
