@@ -41,7 +41,7 @@ pub struct TeachArgs {
     /// Recording: a rosbag2 folder or .mcap file with colour, aligned depth, camera_info and /tf_static
     #[arg(long, required_unless_present = "import_dexmv", conflicts_with = "import_dexmv")]
     pub bag: Option<PathBuf>,
-    /// Instead of a bag: the folder with the parsed DexMV mustard recording
+    /// Instead of a bag: the JSON file with the parsed DexMV mustard recording
     #[arg(long)]
     pub import_dexmv: Option<PathBuf>,
     /// Folder for the results [default: models/TASK]

@@ -119,8 +119,8 @@ fn demonstration(
     args: &TeachArgs,
     task: &Task,
 ) -> anyhow::Result<(Observed, Demonstration, ParseReport)> {
-    if let Some(folder) = &args.import_dexmv {
-        let imported = mustard::import(folder, task, &mustard::ImportOptions::default())?;
+    if let Some(file) = &args.import_dexmv {
+        let imported = mustard::import(file, task, &mustard::ImportOptions::default())?;
         let observed =
             Observed { hands: 0, unpaired: 0, frames: imported.frames, pictures: Vec::new() };
         return Ok((observed, imported.demonstration, imported.report));

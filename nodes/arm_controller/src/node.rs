@@ -104,7 +104,7 @@ fn subscribe_robot(node: &Node, p: &ArmParameters, input: &SharedInput) -> anyho
 
 fn subscribe_task(node: &Node, p: &ArmParameters, input: &SharedInput) -> anyhow::Result<()> {
     let (shared, offset) = (input.clone(), p.grasp_offset.clone());
-    node.subscribe("/diffusion_policy/prediction", Qos::reliable(2), {
+    node.subscribe("/diffusion_policy/prediction", Qos::best_effort(2), {
         move |m: PoseTrajectory| match inputs::plan(&m, &offset) {
             Ok(Some(plan)) => with(&shared, |i| i.plan = Some(plan)),
             Ok(None) => {}
@@ -112,13 +112,13 @@ fn subscribe_task(node: &Node, p: &ArmParameters, input: &SharedInput) -> anyhow
         }
     })?;
     let shared = input.clone();
-    node.subscribe("/switch_policy/procedure", Qos::latched(), move |m: Procedure| {
+    node.subscribe("/switch_policy/procedure", Qos::best_effort(5), move |m: Procedure| {
         let stamp = tracked::stamp(&m.header);
         let state = ProcedureState { stamp, procedure: m.procedure, complete: m.complete };
         with(&shared, |i| i.procedure = Some(state));
     })?;
     let shared = input.clone();
-    node.subscribe("/pose_tracker/objects", Qos::reliable(5), move |m: TrackedObjects| {
+    node.subscribe("/pose_tracker/objects", Qos::best_effort(5), move |m: TrackedObjects| {
         with(&shared, |i| i.attach = inputs::attach(&m));
     })?;
     Ok(())

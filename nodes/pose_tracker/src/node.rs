@@ -75,7 +75,7 @@ pub async fn track(node: Node, params: Params<TrackerParameters>) -> anyhow::Res
         with(&shared, |s| s.objects.reset(""));
         async { TriggerResponse { success: true, message: "all objects forgotten".into() } }
     })?;
-    node.subscribe("/perception_bridge/detections", Qos::reliable(5), {
+    node.subscribe("/perception_bridge/detections", Qos::best_effort(5), {
         move |message: Detection3DArray| outputs.answer(&message, &state)
     })?;
     node.shutdown().wait().await;
@@ -120,7 +120,7 @@ fn subscribe_inputs(
         }
     })?;
     let shared = state.clone();
-    node.subscribe("/arm_controller/status", Qos::latched(), move |m: ControllerStatus| {
+    node.subscribe("/arm_controller/status", Qos::best_effort(5), move |m: ControllerStatus| {
         with(&shared, |s| s.held = m.object_held);
     })?;
     Ok(())

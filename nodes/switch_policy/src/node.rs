@@ -55,8 +55,8 @@ pub async fn decide(node: Node, mut params: Params<SwitchParameters>) -> anyhow:
         output: node.publisher("/switch_policy/procedure", Qos::latched())?,
         node: node.clone(),
     };
-    let mut objects = node.newest::<TrackedObjects>("/pose_tracker/objects", Qos::reliable(5))?;
-    let mut status = node.newest::<ControllerStatus>("/arm_controller/status", Qos::latched())?;
+    let mut objects = node.newest::<TrackedObjects>("/pose_tracker/objects", Qos::best_effort(5))?;
+    let mut status = node.newest::<ControllerStatus>("/arm_controller/status", Qos::best_effort(5))?;
     let reset = Arc::new(AtomicBool::new(false));
     let flag = reset.clone();
     node.service::<Trigger, _, _>("~/reset", move |_request| {
@@ -68,8 +68,10 @@ pub async fn decide(node: Node, mut params: Params<SwitchParameters>) -> anyhow:
     // Not before the controller had time to say that it is in mid-task.
     let mut repeat = tokio::time::interval_at(tokio::time::Instant::now() + REPEAT, REPEAT);
     let (mut held, mut adopted) = (false, false);
+    let shutdown = node.shutdown().clone();
     loop {
         tokio::select! {
+            _ = shutdown.wait() => return Ok(()),
             message = objects.recv() => {
                 let Some(message) = message else { return Ok(()) };
                 if reset.swap(false, Ordering::SeqCst) {

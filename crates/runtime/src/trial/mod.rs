@@ -115,22 +115,22 @@ struct Watch {
 impl Watch {
     fn new(node: &Node, pictures: bool) -> Result<Self, RuntimeError> {
         Ok(Self {
-            verdict: node.newest("/virtual_lab/ground_truth/verdict", Qos::latched())?,
-            truth: node.newest("/virtual_lab/ground_truth/objects", Qos::reliable(5))?,
+            verdict: node.newest("/virtual_lab/ground_truth/verdict", Qos::best_effort(5))?,
+            truth: node.newest("/virtual_lab/ground_truth/objects", Qos::best_effort(5))?,
             joints: node.queue(
                 "/virtual_lab/ground_truth/joint_states",
-                Qos::reliable(10),
+                Qos::best_effort(10),
                 256,
             )?,
-            objects: node.queue("/pose_tracker/objects", Qos::reliable(5), 64)?,
-            plans: node.queue("/diffusion_policy/prediction", Qos::reliable(5), 64)?,
+            objects: node.queue("/pose_tracker/objects", Qos::best_effort(5), 64)?,
+            plans: node.queue("/diffusion_policy/prediction", Qos::best_effort(5), 64)?,
             commands: node.queue(
                 "/scaled_joint_trajectory_controller/joint_trajectory",
-                Qos::reliable(5),
+                Qos::best_effort(5),
                 64,
             )?,
-            status: node.queue("/arm_controller/status", Qos::latched(), 64)?,
-            diagnostics: node.queue("/diagnostics", Qos::reliable(10), 64)?,
+            status: node.queue("/arm_controller/status", Qos::best_effort(5), 64)?,
+            diagnostics: node.queue("/diagnostics", Qos::best_effort(10), 64)?,
             images: pictures
                 .then(|| node.newest("/camera/camera/color/image_raw", Qos::sensor_data()))
                 .transpose()?,
