@@ -66,7 +66,7 @@ pub fn import(sequence: &Sequence, bag: &Path) -> anyhow::Result<Pose> {
 }
 
 /// A catalogue that holds the cube alone.
-fn catalogue(dataset: &Path, folder: &Path) -> anyhow::Result<()> {
+fn catalogue(dataset: &Path, sequence: &Sequence, folder: &Path) -> anyhow::Result<()> {
     let cube = folder.join("cube");
     std::fs::create_dir_all(&cube)?;
     let source = dataset.join("models/cube");
@@ -74,9 +74,15 @@ fn catalogue(dataset: &Path, folder: &Path) -> anyhow::Result<()> {
         std::fs::copy(source.join(file), cube.join(file))
             .with_context(|| source.join(file).display().to_string())?;
     }
-    let text = "# The cube of the ViSP data set; its mesh is untextured.\n\
-                name: cube\nsynonyms: [block, box]\ncolors: []\nmesh: cube.obj\nsymmetry: cube\n\
-                mass: 0.1\nfriction: 0.5\npalette: []\ncollision: []\n";
+    let model = sequence.cube()?;
+    let (half, middle) = (0.5 * (model.max - model.min), model.centre());
+    let text = format!(
+        "# The cube of the ViSP data set; its mesh is untextured.\n\
+         name: cube\nsynonyms: [block, box]\nmesh: cube.obj\nsymmetry: cube\nmass: 0.1\n\
+         friction: 0.5\ncollision:\n  \
+         - {{shape: {{box: {{half_extents: [{:?}, {:?}, {:?}]}}}}, xyz: [{:?}, {:?}, {:?}]}}\n",
+        half.x, half.y, half.z, middle.x, middle.y, middle.z
+    );
     std::fs::write(cube.join("object.yaml"), text)?;
     Ok(())
 }
@@ -88,7 +94,7 @@ fn live(args: &TrackingArgs, sequence: &Sequence) -> anyhow::Result<TrackingRepo
     }
     std::fs::create_dir_all(&args.run)?;
     let t_base_camera = import(sequence, &bag)?;
-    catalogue(&args.dataset, &objects)?;
+    catalogue(&args.dataset, sequence, &objects)?;
     let launch_file = Path::new("launch_scripts/replay.launch.yaml");
     let arguments = [
         ("bag", bag.display().to_string()),
