@@ -21,7 +21,9 @@ pub struct TrackingFrame {
 pub struct TrackingSummary {
     /// Frames shown to the tracker.
     pub frames: usize,
-    /// Frames on which it had no pose.
+    /// Frames at the beginning before it was sure of its first pose.
+    pub initialising: usize,
+    /// Frames after that on which it had no pose; all, if it never had one.
     pub lost: usize,
     /// Frames with a usable reference.
     pub compared: usize,
@@ -54,9 +56,11 @@ impl TrackingReport {
         let t: Vec<f64> = frames.iter().filter_map(|f| f.translation_mm).collect();
         let r: Vec<f64> = frames.iter().filter_map(|f| f.rotation_deg).collect();
         let ms: Vec<f64> = frames.iter().map(|f| f.ms).collect();
+        let found = frames.iter().position(|f| f.tracked);
         let summary = TrackingSummary {
             frames: frames.len(),
-            lost: frames.iter().filter(|f| !f.tracked).count(),
+            initialising: found.unwrap_or(0),
+            lost: frames[found.unwrap_or(0)..].iter().filter(|f| !f.tracked).count(),
             compared: t.len(),
             median_translation_mm: percentile(&t, 0.5),
             p95_translation_mm: percentile(&t, 0.95),
@@ -84,6 +88,7 @@ mod tests {
         };
         let r = TrackingReport::new(
             vec![
+                frame(false, None),
                 frame(true, Some(1.0)),
                 frame(true, None),
                 frame(false, None),
@@ -91,7 +96,9 @@ mod tests {
             ],
             0,
         );
-        assert_eq!((r.summary.frames, r.summary.lost, r.summary.compared), (4, 1, 2));
-        assert_eq!(r.summary.median_translation_mm, Some(2.0));
+        assert_eq!((r.summary.frames, r.summary.lost, r.summary.compared), (5, 1, 2));
+        assert_eq!((r.summary.initialising, r.summary.median_translation_mm), (1, Some(2.0)));
+        let never = TrackingReport::new(vec![frame(false, None); 3], 0);
+        assert_eq!((never.summary.initialising, never.summary.lost), (0, 3));
     }
 }

@@ -29,7 +29,8 @@ pub struct ObjectsConfig {
     pub init_frames: u32,
     /// Seconds without a believed detection until TRACKING becomes OCCLUDED.
     pub occluded_after: f64,
-    /// Seconds without one until OCCLUDED becomes LOST.
+    /// Seconds without one until OCCLUDED becomes LOST. The arm may hide an object for a whole carry, and
+    /// what stands on the table stays where it is meanwhile.
     pub lost_after: f64,
     /// Jump (m) and turn (rad) between frames that must be confirmed by `init_frames` detections.
     pub jump: f64,
@@ -50,7 +51,7 @@ impl Default for ObjectsConfig {
             reject: 0.35,
             init_frames: 3,
             occluded_after: 0.1,
-            lost_after: 2.0,
+            lost_after: 8.0,
             jump: 0.08,
             turn: 0.7,
             smoothing: 0.25,

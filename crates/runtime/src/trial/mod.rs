@@ -72,6 +72,8 @@ pub struct TrialOutcome {
     pub bag: Option<PathBuf>,
     /// Since when the controller says that the task is done.
     pub done: Option<Instant>,
+    /// When the true joints last moved.
+    pub moved: Option<Instant>,
     /// What the kill did, when one was asked for and the arm moved.
     pub fault: Option<FaultFigures>,
 }
@@ -92,6 +94,10 @@ pub enum TrialError {
 
 /// The lab's verdict comes within this time after the controller is done, or the trial has failed.
 const AFTER_DONE: Duration = Duration::from_secs(5);
+/// So has a trial in which the arm has not moved for this time, start-up included.
+const STILL: Duration = Duration::from_secs(20);
+/// Joint speed (rad/s) of an arm that moves.
+const MOVING: f64 = 0.02;
 
 /// What a bag of a run leaves out: images at full rate. The runner writes its pictures instead.
 const TOO_MUCH: [&str; 3] = [
@@ -210,7 +216,8 @@ async fn watch_trial(setup: &TrialSetup) -> Result<TrialOutcome, TrialError> {
             }
         }
         // The robot has done all that it will do: the judge has had its time.
-        let idle = outcome.done.is_some_and(|t| t.elapsed() > AFTER_DONE);
+        let idle = outcome.done.is_some_and(|t| t.elapsed() > AFTER_DONE)
+            || outcome.moved.unwrap_or(began).elapsed() > STILL;
         let finished = idle || outcome.verdict.as_ref().is_some_and(|v| v.finished);
         if finished || died || began.elapsed().as_secs_f64() > setup.patience {
             break;
@@ -259,6 +266,9 @@ fn collect(
         }
     }
     while let Some(m) = watch.joints.try_recv() {
+        if m.velocity.iter().any(|v| v.abs() > MOVING) {
+            outcome.moved = Some(now);
+        }
         if let Some(fault) = fault {
             fault.joints(&m, tracked::stamp(&m.header));
         }
