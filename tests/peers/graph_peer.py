@@ -116,8 +116,14 @@ def check_graph(node, topics, names, seen, phase, recorded=()):
     mine = {t: v for t, v in topics.items() if set(v[1]) & set(names) or "every" in v[1]}
     # A replay has the topics of its bag.
     mine = {t: v for t, v in mine.items() if "camera_replay" not in v[1] or not recorded or t in recorded}
+
+    def nodes_seen():
+        return {n for n, _ in node.get_node_names_and_namespaces()}
+
     spin(node, 25.0, lambda: all(seen[t] for t in mine))
-    nodes = {n for n, _ in node.get_node_names_and_namespaces()}
+    # Names travel on a topic of their own, behind the endpoints.
+    spin(node, 15.0, lambda: set(names) <= nodes_seen())
+    nodes = nodes_seen()
     check(f"{phase}: every node is seen", set(names) <= nodes, sorted(set(names) - nodes))
     types = dict(node.get_topic_names_and_types())
     for topic, (kind, publishers, _) in mine.items():
@@ -213,10 +219,11 @@ def rewrite(source, target):
         ids = {c.id: writer.add_connection(c.topic, c.msgtype, typestore=reader.typestore,
                                            offered_qos_profiles=c.ext.offered_qos_profiles)
                for c in reader.connections}
+        recorded = {c.topic for c in reader.connections}
         for connection, stamp, raw in reader.messages():
             writer.write(ids[connection.id], stamp, raw)
             count += 1
-    return count, {c.topic for c in reader.connections}
+    return count, recorded
 
 
 def main():

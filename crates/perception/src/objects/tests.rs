@@ -79,7 +79,7 @@ fn init_tracking_occluded_lost_and_back() {
     }
     let o = w.step(&weak, None, false);
     assert_eq!(state(&o), ObjectState::Occluded, "0.4 is not enough to come back");
-    for _ in 0..65 {
+    for _ in 0..(30.0 * ObjectsConfig::default().lost_after) as usize + 5 {
         w.step(&[], None, false);
     }
     let o = w.step(&[], None, false);
