@@ -38,6 +38,8 @@ REPLAY = ["camera_replay", "perception_bridge", "pose_tracker", "switch_policy",
 TRUTH = "/virtual_lab/ground_truth/"
 # Every ROS node has these; they are nobody's interface here.
 COMMON = {"/parameter_events", "/rosout", "/clock"}
+# Seconds in which a graph comes up.
+SETTLE = 5.0
 failures = []
 
 
@@ -117,11 +119,11 @@ def check_graph(node, topics, names, seen, phase, recorded=()):
     # A replay has the topics of its bag.
     mine = {t: v for t, v in mine.items() if "camera_replay" not in v[1] or not recorded or t in recorded}
 
+    spin(node, 25.0, lambda: all(seen[t] for t in mine))
+
     def nodes_seen():
         return {n for n, _ in node.get_node_names_and_namespaces()}
 
-    spin(node, 25.0, lambda: all(seen[t] for t in mine))
-    # Names travel on a topic of their own, behind the endpoints.
     spin(node, 15.0, lambda: set(names) <= nodes_seen())
     nodes = nodes_seen()
     check(f"{phase}: every node is seen", set(names) <= nodes, sorted(set(names) - nodes))
@@ -177,7 +179,8 @@ def check_motion(node, seen):
     client = ActionClient(node, GripperCommand, "/robotiq_gripper_controller/gripper_cmd")
     check("the gripper's action server is there", client.wait_for_server(5.0))
     goal = GripperCommand.Goal()
-    goal.command.position = 0.4
+    # Open: the fingers may be anywhere, also round an object.
+    goal.command.position = 0.0
     goal.command.max_effort = 20.0
     sent = client.send_goal_async(goal)
     spin(node, 5.0, sent.done)
@@ -186,7 +189,7 @@ def check_motion(node, seen):
     if accepted:
         result = sent.result().get_result_async()
         spin(node, 8.0, result.done)
-        good = result.done() and abs(result.result().result.position - 0.4) < 0.03
+        good = result.done() and abs(result.result().result.position) < 0.03
         check("a gripper goal is carried out", good)
 
 
@@ -226,17 +229,25 @@ def rewrite(source, target):
     return count, recorded
 
 
+def join(topics):
+    """Joins the running graph, as `ros2` does. (A participant that is there before seven nodes start at
+    once gets their topics, but not always all their names.)"""
+    time.sleep(SETTLE)
+    rclpy.init()
+    node = rclpy.create_node("python_peer")
+    seen = collections.defaultdict(lambda: collections.deque(maxlen=500))
+    subscribe_all(node, topics, seen)
+    return node, seen
+
+
 def main():
     binaries, model = Path(sys.argv[1]).resolve(), sys.argv[2]
     topics = table()
     check("the table has topics", len(topics) > 20, len(topics))
     work = Path(tempfile.mkdtemp(prefix="tdv_peers_"))
-    rclpy.init()
-    node = rclpy.create_node("python_peer")
-    seen = collections.defaultdict(lambda: collections.deque(maxlen=500))
-    subscribe_all(node, topics, seen)
     with Graph(binaries, "launch_scripts/closed_loop.launch.yaml", f"model:={model}",
                "auto_resume:=true"):
+        node, seen = join(topics)
         recorder = None
         if spin(node, 25.0, lambda: seen["/pose_tracker/objects"]):
             recorder = subprocess.Popen([str(binaries / "tdv"), "record", "-o", str(work / "ours"),
@@ -246,17 +257,18 @@ def main():
         check_parameters(node)
         check_motion(node, seen)
         check("the recorder ends well", recorder is not None and recorder.wait(20) == 0)
+        rclpy.shutdown()
     check_our_bag(work / "ours")
-    seen.clear()
     count, recorded = rewrite(REPO / "rosbags/cup_on_coaster", work / "theirs")
     check("rosbags reads and writes the demonstration", count > 300, count)
     with Graph(binaries, "launch_scripts/replay.launch.yaml", f"bag:={work / 'theirs'}",
-               f"model:={model}"):
+               f"model:={model}", f"startup_delay:={2 * SETTLE}"):
+        node, seen = join(topics)
         check_graph(node, topics, REPLAY, seen, "replay", recorded)
         poses = seen["/pose_tracker/objects"]
         check("a bag by rosbags gives poses", spin(
             node, 15.0, lambda: poses and all(o.state > 0 for o in poses[-1].objects)))
-    rclpy.shutdown()
+        rclpy.shutdown()
     print(f"{len(failures)} checks failed" if failures else "all checks passed")
     sys.exit(1 if failures else 0)
 

@@ -228,19 +228,6 @@ impl Node {
         Ok(Publisher { inner, counters })
     }
 
-    /// Tells the graph again which node this is. ros2-client says so only when an end is added, once
-    /// each, and a participant that meets this one just then may miss it for good: the node would have
-    /// topics but no name there. So an end is added, and taken away at once.
-    pub(crate) fn announce(&self) {
-        let (name, qos) = ("/parameter_events", Qos::reliable(100));
-        let type_name = MessageTypeName::new("rcl_interfaces", "ParameterEvent");
-        let added = self.with_ros("publisher", name, |ros, dds_name| {
-            let topic = ros.create_topic(dds_name, type_name, &qos.profile())?;
-            ros.create_publisher::<RawMessage>(&topic, Some(qos.profile()))
-        });
-        drop(added);
-    }
-
     fn any_subscription<M, F>(
         &self,
         topic: &str,

@@ -95,15 +95,6 @@ where
     }
 }
 
-/// Pauses between announcements of the node, for participants that join at about the same time.
-const ANNOUNCE_AFTER: [Duration; 5] = [
-    Duration::from_secs(1),
-    Duration::from_secs(2),
-    Duration::from_secs(3),
-    Duration::from_secs(5),
-    Duration::from_secs(10),
-];
-
 /// Runs the body until it ends or the end is asked for.
 async fn drive(
     node: &Node,
@@ -133,13 +124,6 @@ fn start_standard_services(node: &Node, store: Store) -> anyhow::Result<()> {
     let rosout = node.publisher("/rosout", Qos::latched_depth(100))?;
     logging::publish_to(rosout, node.clock().clone(), node.name().to_string());
     serve(node, store)?;
-    let n = node.clone();
-    node.spawn("announcements", async move {
-        for pause in ANNOUNCE_AFTER {
-            tokio::time::sleep(pause).await;
-            n.announce();
-        }
-    });
     let publisher = node.publisher::<DiagnosticArray>("/diagnostics", Qos::reliable(10))?;
     let n = node.clone();
     node.spawn("diagnostics", async move {
