@@ -256,7 +256,7 @@ def main():
         check_truth_is_private(node)
         check_parameters(node)
         check_motion(node, seen)
-        check("the recorder ends well", recorder is not None and recorder.wait(20) == 0)
+        check("the recorder ends well", recorder is not None and recorder.wait(60) == 0)
         rclpy.shutdown()
     check_our_bag(work / "ours")
     count, recorded = rewrite(REPO / "rosbags/cup_on_coaster", work / "theirs")

@@ -125,14 +125,20 @@ impl Recorder {
         Ok(())
     }
 
-    /// Writes what has come since the last call.
+    /// Writes what has come since the last call, a few messages of each topic: where they come faster
+    /// than they can be written, this must end all the same.
     ///
     /// # Errors
     /// [`RecordError::Bag`].
     pub fn drain(&mut self) -> Result<(), RecordError> {
+        self.drain_up_to(8)
+    }
+
+    fn drain_up_to(&mut self, count: usize) -> Result<(), RecordError> {
         let now = self.node.now();
         for (id, inbox) in self.inputs.values_mut() {
-            while let Some(message) = inbox.try_recv() {
+            for _ in 0..count {
+                let Some(message) = inbox.try_recv() else { break };
                 self.writer.write(*id, now, now, &message.to_bag())?;
             }
         }
@@ -202,7 +208,7 @@ impl Recorder {
     /// # Errors
     /// [`RecordError::Bag`].
     pub fn finish(mut self) -> Result<PathBuf, RecordError> {
-        self.drain()?;
+        self.drain_up_to(32)?;
         Ok(self.writer.finish()?)
     }
 
