@@ -1,8 +1,10 @@
 //! The programs under test, and a model to run them with.
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 /// Steps of the training for the tests: enough for a policy that places.
@@ -53,22 +55,32 @@ pub fn run(name: &str, arguments: &[&str], patience: Duration) -> (Option<i32>, 
         .stderr(Stdio::piped())
         .spawn()
         .expect("the program starts");
+    // Read while it runs: a full pipe would stop it.
+    let said = [collect(child.stdout.take()), collect(child.stderr.take())];
+    let said = || said.map(|t| t.join().unwrap_or_default()).join("\n");
     let began = Instant::now();
-    while child.try_wait().expect("the state of a child").is_none() {
+    loop {
+        if let Some(status) = child.try_wait().expect("the state of a child") {
+            return (status.code(), said());
+        }
         if began.elapsed() > patience {
             let _ = child.kill();
-            let said = told(&child.wait_with_output().expect("output"));
-            panic!("{name} {arguments:?} did not end within {patience:?}; it said:\n{said}");
+            let _ = child.wait();
+            panic!("{name} {arguments:?} did not end within {patience:?}; it said:\n{}", said());
         }
         std::thread::sleep(Duration::from_millis(20));
     }
-    let output = child.wait_with_output().expect("output");
-    (output.status.code(), told(&output))
 }
 
-fn told(output: &Output) -> String {
-    let text = [&output.stdout, &output.stderr].map(|b| String::from_utf8_lossy(b).into_owned());
-    text.join("\n")
+/// Everything that comes out of a pipe, read by a thread of its own.
+fn collect(pipe: Option<impl Read + Send + 'static>) -> JoinHandle<String> {
+    std::thread::spawn(move || {
+        let mut bytes = Vec::new();
+        if let Some(mut pipe) = pipe {
+            let _ = pipe.read_to_end(&mut bytes);
+        }
+        String::from_utf8_lossy(&bytes).into_owned()
+    })
 }
 
 /// A folder with a policy for the cup task, taught from the recorded demonstration once per build;

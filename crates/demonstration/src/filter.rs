@@ -31,6 +31,12 @@ impl Default for FilterConfig {
     }
 }
 
+/// Residuals (m) of this size are noise, whatever the median says: in a recording that is mostly at rest
+/// the motion's own residuals must not pass for outliers.
+const POSITION_FLOOR: f64 = 0.008;
+/// The same for angles (rad).
+const ANGLE_FLOOR: f64 = 0.06;
+
 /// A polynomial of degree two (one, zero where samples are few) through the samples round `time`,
 /// evaluated there.
 fn local_fit(
@@ -100,12 +106,6 @@ fn local_fit(
         .min_by(|a, b| (times[*a] - time).abs().total_cmp(&(times[*b] - time).abs()));
     nearest.map_or_else(Vector3::zeros, |i| values[i])
 }
-
-/// Residuals of this size are noise, whatever the median says: in a recording that is mostly at rest the
-/// motion's own residuals must not pass for outliers (m, rad).
-
-const POSITION_FLOOR: f64 = 0.008;
-const ANGLE_FLOOR: f64 = 0.06;
 
 fn median(values: &mut [f64]) -> f64 {
     if values.is_empty() {
@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    #[ignore = "open: the mean error is 5.1 mm, 5 mm is wanted"]
+    #[ignore = "open: the worst error is 14.5 mm, 12 mm is wanted"]
     fn noise_outliers_and_a_gap() {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
         let n = Normal::new(0.0, 0.005).unwrap();
@@ -300,11 +300,9 @@ mod tests {
         let out = smooth(&samples, &times, &FilterConfig::default());
         let errors: Vec<_> =
             times.iter().zip(&out).map(|(t, p)| pose_distance(p, &truth(*t))).collect();
-        let mean = errors.iter().map(|e| e.0).sum::<f64>() / 90.0;
         let worst = errors.iter().map(|e| e.0).fold(0.0, f64::max);
         let turn = errors.iter().map(|e| e.1).fold(0.0, f64::max);
-        // 8.7 mm of noise in space, 7 % of nonsense, a third of a second missing.
-        assert!(mean < 0.005 && worst < 0.018 && turn < 0.12, "{mean} m, {worst} m, {turn} rad");
+        assert!(worst < 0.012 && turn < 0.12, "{worst} m, {turn} rad");
     }
 
     #[test]

@@ -32,12 +32,14 @@ pub fn run(args: &LaunchArgs) -> anyhow::Result<bool> {
         settings.insert(name.to_owned(), value.to_owned());
     }
     let commands = file.commands(&settings, &share(&args.file))?;
+    let named = |until: &str| commands.iter().any(|c| c.name == until);
+    if let Some(until) = args.until.as_deref().filter(|until| !named(until)) {
+        let names: Vec<&str> = commands.iter().map(|c| c.name.as_str()).collect();
+        bail!("--until {until:?}: the nodes are {}", names.join(", "));
+    }
     let options =
         StartOptions { log_folder: args.logs.clone(), ..StartOptions::beside_this_program() };
     let mut launched = Launched::start(&commands, options)?;
-    if let Some(name) = args.until.as_deref().filter(|n| !launched.names().contains(n)) {
-        bail!("--until {name:?}: the nodes are {}", launched.names().join(", "));
-    }
     println!("started {}; Ctrl-C ends them", launched.names().join(", "));
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()

@@ -153,7 +153,16 @@ pub fn run_trial(setup: &TrialSetup) -> Result<TrialOutcome, TrialError> {
 }
 
 fn block_on<T>(work: impl Future<Output = Result<T, TrialError>>) -> Result<T, TrialError> {
-    tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?.block_on(work)
+    tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_all()
+        .build()
+        .map_err(|e| RuntimeError::Create {
+            what: "tokio runtime",
+            name: "trial".into(),
+            reason: e.to_string(),
+        })?
+        .block_on(work)
 }
 
 /// A watching node, and the processes of the graph.

@@ -2,7 +2,7 @@
 
 use super::{TrialError, TrialSetup, start};
 use crate::launch::NodeExit;
-use crate::{Inbox, Qos, RuntimeError, tracked};
+use crate::{Inbox, Qos, tracked};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 use tdv_geometry::Stamp;
@@ -72,11 +72,4 @@ async fn watch(setup: &TrialSetup) -> Result<ReplayOutcome, TrialError> {
     launched.stop(Duration::from_secs(3));
     node.leave();
     Ok(outcome)
-}
-
-impl From<std::io::Error> for TrialError {
-    fn from(e: std::io::Error) -> Self {
-        RuntimeError::Create { what: "tokio runtime", name: "trial".into(), reason: e.to_string() }
-            .into()
-    }
 }
