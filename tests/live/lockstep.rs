@@ -21,7 +21,14 @@ fn replayed(model: &Path, folder: &Path, name: &str) -> BTreeMap<String, Vec<Vec
     let launch = "launch_scripts/replay.launch.yaml";
     let played = "bag:=rosbags/cup_on_coaster";
     let arguments = [
-        "launch", launch, played, "lockstep:=true", "startup_delay:=4.0", &model, "--until", "camera_replay",
+        "launch",
+        launch,
+        played,
+        "lockstep:=true",
+        "startup_delay:=4.0",
+        &model,
+        "--until",
+        "camera_replay",
     ];
     let (code, said) = run("tdv", &arguments, Duration::from_secs(120));
     assert_eq!(code, Some(0), "{said}");
@@ -48,6 +55,11 @@ fn poses_and_predictions_are_the_same_bytes() {
         assert_eq!(a.len(), 121, "{topic}: an answer to each frame");
         let long = a.iter().filter(|m| m.len() > 1000).count();
         assert!(topic != TOPICS[1] || long > 60, "only {long} predictions have poses");
-        assert!(a == b, "{topic}: {} of {} differ", a.iter().zip(b).filter(|(a, b)| a != b).count(), a.len());
+        assert!(
+            a == b,
+            "{topic}: {} of {} differ",
+            a.iter().zip(b).filter(|(a, b)| a != b).count(),
+            a.len()
+        );
     }
 }

@@ -6,7 +6,8 @@ use tdv_tests::{machine, model, program, repository};
 
 /// Where launch_scripts/test.sh sets rclpy up (tests/peers/setup.sh).
 fn environment() -> Option<PathBuf> {
-    let folder = std::env::var_os("TDV_PEERS").map_or_else(|| repository().join("target/peers"), PathBuf::from);
+    let folder = std::env::var_os("TDV_PEERS")
+        .map_or_else(|| repository().join("target/peers"), PathBuf::from);
     let script = folder.join("env.sh");
     if !script.is_file() {
         println!("skipped: no rclpy; `tests/peers/setup.sh target/peers` sets it up");

@@ -94,7 +94,9 @@ pub fn model() -> Option<&'static Path> {
         .get_or_init(|| {
             let networks = repository().join("models/hands/hand_landmark_full.tflite");
             if !networks.is_file() {
-                println!("skipped: no hand networks; launch_scripts/fetch_hand_models.sh gets them");
+                println!(
+                    "skipped: no hand networks; launch_scripts/fetch_hand_models.sh gets them"
+                );
                 return None;
             }
             let folder = program("tdv").with_file_name("test_model");

@@ -40,7 +40,12 @@ fn arguments_that_make_no_sense_end_with_two() {
     refused(2, "tdv", &["dance"], &["dance"]);
     refused(2, "tdv", &["record-demo", "-o", "x", "--quality", "0"], &["quality"]);
     refused(2, "pose_tracker", &["--ros-args", "-p"], &["-p"]);
-    refused(2, "pose_tracker", &["--ros-args", "-p", "no_such_parameter:=1"], &["no_such_parameter"]);
+    refused(
+        2,
+        "pose_tracker",
+        &["--ros-args", "-p", "no_such_parameter:=1"],
+        &["no_such_parameter"],
+    );
     refused(2, "camera_replay", &["--ros-args", "-p", "bag:=x", "-p", "rate:=-1.0"], &["rate"]);
 }
 
@@ -147,7 +152,8 @@ fn a_checkpoint_of_another_task_and_none_at_all_are_refused() {
     let other = folder.path().join("other");
     fs::create_dir(&other).unwrap();
     let text = fs::read_to_string(model.join("demonstration.json")).unwrap();
-    fs::write(other.join("demonstration.json"), text.replace("cup_on_coaster", "tea_party")).unwrap();
+    fs::write(other.join("demonstration.json"), text.replace("cup_on_coaster", "tea_party"))
+        .unwrap();
     for file in ["policy.safetensors", "switch.safetensors"] {
         fs::copy(model.join(file), other.join(file)).unwrap();
     }
@@ -165,7 +171,8 @@ fn ports_and_domains_that_cannot_be_had_are_named() {
     let taken = format!("rtde_port:={number}");
     let scene = "scene:=config/scenes/cup_on_coaster.yaml";
     refused(1, "virtual_lab", &["--ros-args", "-p", scene, "-p", &taken], &[&number, "in use"]);
-    let mut command = tdv_tests::command("pose_tracker", &["--ros-args", "-p", &format!("task:={TASK}")]);
+    let mut command =
+        tdv_tests::command("pose_tracker", &["--ros-args", "-p", &format!("task:={TASK}")]);
     let output = command.env("ROS_DOMAIN_ID", "500").output().unwrap();
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(matches!(output.status.code(), Some(1 | 2)), "{said}");

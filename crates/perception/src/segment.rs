@@ -266,7 +266,9 @@ impl Scene {
             }
         }
         while let Some((u, v, z)) = edge.pop() {
-            for (du, dv) in (-GROW_PX..=GROW_PX).flat_map(|a| (-GROW_PX..=GROW_PX).map(move |b| (a, b))) {
+            for (du, dv) in
+                (-GROW_PX..=GROW_PX).flat_map(|a| (-GROW_PX..=GROW_PX).map(move |b| (a, b)))
+            {
                 let (x, y) = (u + du, v + dv);
                 if x < x0 || y < y0 || x >= x1 || y >= y1 || mask.at(x, y) {
                     continue;

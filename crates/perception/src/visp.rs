@@ -220,12 +220,18 @@ pub struct Judge {
 }
 
 impl Judge {
-    /// Takes the pose found in frame `index` (`None`: not found).
-    pub fn frame(&mut self, sequence: &Sequence, index: usize, pose: Option<&Pose>) {
+    /// Takes the pose found in frame `index` (`None`: not found) and gives its errors (mm, deg) where
+    /// the reference is fit for it.
+    pub fn frame(
+        &mut self,
+        sequence: &Sequence,
+        index: usize,
+        pose: Option<&Pose>,
+    ) -> Option<(f64, f64)> {
         self.frames += 1;
         let Some(pose) = pose else {
             self.lost += 1;
-            return;
+            return None;
         };
         if let Some(last) = &self.last
             && last.rotation.angle_to(&pose.rotation) > 40f64.to_radians()
@@ -233,11 +239,17 @@ impl Judge {
             self.jumps += 1;
         }
         self.last = Some(*pose);
-        if let Some((truth, true)) = sequence.reference.get(index) {
-            let (d, a) = Symmetry::Cube.distance(pose, truth);
-            self.translation_mm.push(1000.0 * d);
-            self.rotation_deg.push(a.to_degrees());
-        }
+        let Some((truth, true)) = sequence.reference.get(index) else { return None };
+        let (d, a) = Symmetry::Cube.distance(pose, truth);
+        let error = (1000.0 * d, a.to_degrees());
+        self.translation_mm.push(error.0);
+        self.rotation_deg.push(error.1);
+        Some(error)
+    }
+
+    /// Changes of the symmetric equivalent so far.
+    pub fn jumps(&self) -> usize {
+        self.jumps
     }
 
     /// The figures so far, without times.

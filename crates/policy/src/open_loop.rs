@@ -148,9 +148,7 @@ mod tests {
             };
             control.look(pose_of).unwrap();
             let stamp = Stamp::from_secs(1.0 + i as f64 * dt);
-            let seen = observer
-                .observe(stamp, 0, |n| control.believed(0, n, pose_of(n)))
-                .unwrap();
+            let seen = observer.observe(stamp, 0, |n| control.believed(0, n, pose_of(n))).unwrap();
             let plan = seen.undo(&control.plan(&seen).unwrap());
             tool = seen.reference_pose * plan[0];
         }

@@ -2,9 +2,13 @@
 
 use crate::RuntimeError;
 use ros2_client::Context;
-use ros2_client::dds::rustdds::DomainParticipantBuilder;
+use ros2_client::dds::rustdds::dds::statusevents::{DomainParticipantStatusEvent, StatusEvented};
+use ros2_client::dds::rustdds::{DomainParticipant, DomainParticipantBuilder, GUID, RTPSEntity};
+use std::collections::BTreeSet;
 use std::env;
 use std::net::Ipv4Addr;
+use std::thread;
+use std::time::{Duration, Instant};
 
 /// Where other nodes are looked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,7 +66,7 @@ impl Environment {
         Ok(Self { domain, range })
     }
 
-    /// Joins the graph.
+    /// Joins the graph; see [`introduce`] for how long it takes.
     ///
     /// # Errors
     /// [`RuntimeError::Join`].
@@ -73,7 +77,51 @@ impl Environment {
             builder = builder.with_only_networks([Ipv4Addr::LOCALHOST]);
         }
         let participant = builder.build().map_err(|e| error(e.to_string()))?;
+        introduce(&participant);
         Context::from_domain_participant(participant).map_err(|e| error(e.to_string()))
+    }
+}
+
+/// Bounds of the wait of [`introduce`].
+const INTRODUCTION: [Duration; 2] = [Duration::from_millis(300), Duration::from_secs(3)];
+
+/// Waits until every participant of another make that is already there has met this one, that is, has
+/// sent an endpoint of its own.
+///
+/// Fast DDS 2.14 (Jazzy's) drops endpoints that reach it out of order without a source timestamp, and
+/// RustDDS sends none: what we announce before Fast DDS knows us is repaired later than what we announce
+/// right after. Of nodes that start together, beside a peer that is there, it would miss a third.
+fn introduce(participant: &DomainParticipant) {
+    let began = Instant::now();
+    let events = participant.status_listener();
+    // A GUID begins with its maker's number.
+    let make = |guid: GUID| u16::from_be_bytes([guid.to_bytes()[0], guid.to_bytes()[1]]);
+    let mut strangers = BTreeSet::new();
+    loop {
+        while let Some(event) = events.try_recv_status() {
+            match event {
+                DomainParticipantStatusEvent::ParticipantDiscovered { dpd }
+                    if make(dpd.guid) != make(participant.guid()) =>
+                {
+                    strangers.insert(dpd.guid.prefix);
+                }
+                DomainParticipantStatusEvent::ParticipantLost { id, .. } => {
+                    strangers.remove(&id);
+                }
+                _ => {}
+            }
+        }
+        for reader in participant.discovered_readers() {
+            strangers.remove(&reader.reader_proxy.remote_reader_guid.prefix);
+        }
+        for writer in participant.discovered_writers() {
+            strangers.remove(&writer.writer_proxy.remote_writer_guid.prefix);
+        }
+        let waited = began.elapsed();
+        if waited > INTRODUCTION[1] || (strangers.is_empty() && waited > INTRODUCTION[0]) {
+            return;
+        }
+        thread::sleep(Duration::from_millis(10));
     }
 }
 

@@ -57,7 +57,9 @@ pub(crate) fn say(environment: Environment, guid: &[u8; 16]) {
     // Ports by the specification's formula; a domain above 232 has been refused.
     let base = 7400 + 250 * environment.domain;
     let mut to: Vec<SocketAddr> = vec![(MULTICAST, base).into()];
-    to.extend((0..PARTICIPANTS).map(|i| SocketAddr::from((Ipv4Addr::LOCALHOST, base + 10 + 2 * i))));
+    to.extend(
+        (0..PARTICIPANTS).map(|i| SocketAddr::from((Ipv4Addr::LOCALHOST, base + 10 + 2 * i))),
+    );
     for address in to {
         let _ = socket.send_to(&message, address);
     }

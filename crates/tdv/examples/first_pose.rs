@@ -35,20 +35,17 @@ fn main() -> anyhow::Result<()> {
         let config = PerceiverConfig { prompt: prompt.clone(), ..Default::default() };
         let mut perceiver = Perceiver::new(config, models);
         let room = Backdrop::generate(&BackdropConfig::default(), seed);
-        let sensor = SensorConfig {
-            intrinsics: assets.scene.camera.intrinsics,
-            ..SensorConfig::lab()
-        };
+        let sensor =
+            SensorConfig { intrinsics: assets.scene.camera.intrinsics, ..SensorConfig::lab() };
         let mut sensor = RgbdSensor::new(sensor, seed);
         let camera = assets.scene.camera.pose();
         let poses = lab.render_poses();
         let mut items: Vec<SceneItem> = room.items();
-        items.extend(
-            assets
-                .instances(&poses)
-                .into_iter()
-                .map(|i| SceneItem { mesh: i.mesh, pose: i.pose, id: i.id }),
-        );
+        items.extend(assets.instances(&poses).into_iter().map(|i| SceneItem {
+            mesh: i.mesh,
+            pose: i.pose,
+            id: i.id,
+        }));
         let mut line = format!("seed {seed:3}");
         let mut wrong = false;
         for frame in 0..10 {

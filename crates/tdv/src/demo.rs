@@ -6,8 +6,7 @@ use tdv_demonstration::Task;
 /// Teaches, then carries the task out once; the last line is the lab's verdict.
 pub fn run(args: &DemoArgs) -> anyhow::Result<bool> {
     let task = Task::load(&args.teach.task)?;
-    let model =
-        args.teach.out.clone().unwrap_or_else(|| Path::new("models").join(&task.name));
+    let model = args.teach.out.clone().unwrap_or_else(|| Path::new("models").join(&task.name));
     if args.reuse && model.join("policy.safetensors").exists() {
         println!("1/2 using the model in {}", model.display());
     } else {

@@ -160,13 +160,11 @@ fn trial(task: &Task, seed: u64, outcome: &TrialOutcome) -> Trial {
     let start = outcome.start.get(&task.moving_object).map_or([f64::NAN; 4], |p| {
         [p.translation.x, p.translation.y, p.translation.z, yaw_of(&p.rotation)]
     });
-    let ended: Vec<String> = outcome
-        .exits
-        .iter()
-        .map(|e| format!("{} ended ({:?})", e.name, e.code))
-        .collect();
+    let ended: Vec<String> =
+        outcome.exits.iter().map(|e| format!("{} ended ({:?})", e.name, e.code)).collect();
     let Some(v) = &outcome.verdict else {
-        let reason = if ended.is_empty() { "the lab gave no verdict".into() } else { ended.join(", ") };
+        let reason =
+            if ended.is_empty() { "the lab gave no verdict".into() } else { ended.join(", ") };
         return Trial {
             seed,
             success: false,

@@ -8,7 +8,8 @@ const COMMON: [&str; 4] = ["/rosout", "/parameter_events", "/diagnostics", "/ros
 
 /// Prints the running graph.
 pub fn run(args: &GraphArgs) -> anyhow::Result<()> {
-    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
+    let runtime =
+        tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
     let graph = runtime.block_on(async {
         let environment = Environment::read()?;
         let resolver = Resolver::new("tdv_graph", &Arguments::default())?;
@@ -20,7 +21,12 @@ pub fn run(args: &GraphArgs) -> anyhow::Result<()> {
         anyhow::Ok((environment, graph))
     })?;
     let (environment, graph) = graph;
-    eprintln!("domain {}, {:?}: {} nodes", environment.domain, environment.range, graph.nodes.len());
+    eprintln!(
+        "domain {}, {:?}: {} nodes",
+        environment.domain,
+        environment.range,
+        graph.nodes.len()
+    );
     println!("flowchart TD");
     let id = |name: &str| name.trim_start_matches('/').replace('/', "_");
     for node in &graph.nodes {

@@ -48,7 +48,8 @@ pub fn run(args: &LaunchArgs) -> anyhow::Result<bool> {
     runtime.block_on(async move {
         let mut good = true;
         let (mut left, mut over) = (commands.len(), false);
-        let mut terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate())?;
+        let mut terminate =
+            tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate())?;
         while left > 0 && !over {
             tokio::select! {
                 _ = tokio::signal::ctrl_c() => break,

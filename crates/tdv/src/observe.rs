@@ -51,8 +51,7 @@ pub fn observe(bag: &Path, task: &Task, args: &TeachArgs) -> anyhow::Result<Obse
     let mut levelling = Levelling::new(LevellingConfig::default());
     let count = recording.frame_count();
     let progress = bar(count, "parsing");
-    let mut observed =
-        Observed { frames: Vec::new(), pictures: Vec::new(), hands: 0, unpaired: 0 };
+    let mut observed = Observed { frames: Vec::new(), pictures: Vec::new(), hands: 0, unpaired: 0 };
     let every = (count / PICTURES).max(1);
     let mut first = None;
     while let Some(frame) = recording.next_frame()? {

@@ -12,8 +12,26 @@ use tdv_rendering::RgbImage;
 
 /// Bones of a hand as pairs of joints, OpenPose order.
 const BONES: [(usize, usize); 20] = [
-    (0, 1), (1, 2), (2, 3), (3, 4), (0, 5), (5, 6), (6, 7), (7, 8), (0, 9), (9, 10), (10, 11),
-    (11, 12), (0, 13), (13, 14), (14, 15), (15, 16), (0, 17), (17, 18), (18, 19), (19, 20),
+    (0, 1),
+    (1, 2),
+    (2, 3),
+    (3, 4),
+    (0, 5),
+    (5, 6),
+    (6, 7),
+    (7, 8),
+    (0, 9),
+    (9, 10),
+    (10, 11),
+    (11, 12),
+    (0, 13),
+    (13, 14),
+    (14, 15),
+    (15, 16),
+    (0, 17),
+    (17, 18),
+    (18, 19),
+    (19, 20),
 ];
 
 const AXES: [Rgb<u8>; 3] = [Rgb([230, 60, 50]), Rgb([60, 200, 80]), Rgb([70, 120, 255])];
@@ -28,7 +46,8 @@ fn line(image: &mut RgbImage, a: (f64, f64), b: (f64, f64), color: Rgb<u8>) {
         let (x, y) = (a.0 + t * (b.0 - a.0), a.1 + t * (b.1 - a.1));
         for (dx, dy) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)] {
             let (x, y) = ((x + dx).round(), (y + dy).round());
-            if x >= 0.0 && y >= 0.0 && x < f64::from(image.width()) && y < f64::from(image.height()) {
+            if x >= 0.0 && y >= 0.0 && x < f64::from(image.width()) && y < f64::from(image.height())
+            {
                 image.put_pixel(x as u32, y as u32, color);
             }
         }
@@ -47,7 +66,8 @@ pub fn overlay(
         for x in 1..w.saturating_sub(1) {
             let at = |x: usize, y: usize| seen.masks.get(y * w + x).copied().unwrap_or(0);
             let m = at(x, y);
-            if m != 0 && [at(x - 1, y), at(x + 1, y), at(x, y - 1), at(x, y + 1)].iter().any(|n| *n != m)
+            if m != 0
+                && [at(x - 1, y), at(x + 1, y), at(x, y - 1), at(x, y + 1)].iter().any(|n| *n != m)
             {
                 image.put_pixel(x as u32, y as u32, OUTLINE);
             }

@@ -7,7 +7,8 @@ use tdv_runtime::{Arguments, Environment, Node, Resolver};
 
 /// Records until Ctrl-C or the end of the time.
 pub fn run(args: &RecordArgs) -> anyhow::Result<()> {
-    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
+    let runtime =
+        tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
     runtime.block_on(async {
         let resolver = Resolver::new("tdv_record", &Arguments::default())?;
         let node = Node::new(resolver, Environment::read()?, false)?;

@@ -33,7 +33,8 @@ pub fn run(args: &RecordDemoArgs) -> anyhow::Result<()> {
     for index in 0..recorder.frames() {
         let (frame, is) = recorder.frame(index);
         camera.frame(frame.stamp, &frame.color, &frame.depth)?;
-        let objects: Vec<_> = is.objects.iter().map(|(name, pose)| (name.as_str(), *pose)).collect();
+        let objects: Vec<_> =
+            is.objects.iter().map(|(name, pose)| (name.as_str(), *pose)).collect();
         truth.frame(is.stamp, &objects, Some(&is.joints))?;
         progress.inc(1);
     }

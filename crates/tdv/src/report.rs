@@ -111,8 +111,13 @@ pub fn write(path: &Path, lesson: &Lesson) -> anyhow::Result<()> {
             background: p.trajectories.iter().map(path_side).collect(),
             series: series(path_side),
         };
-        let caption =
-            format!("{}: {} in {}, {} trajectories", p.name, p.moving, p.reference, p.trajectories.len());
+        let caption = format!(
+            "{}: {} in {}, {} trajectories",
+            p.name,
+            p.moving,
+            p.reference,
+            p.trajectories.len()
+        );
         page.drawings(&[(top.svg(), caption.as_str()), (side.svg(), "height over distance")]);
     }
     for p in &lesson.generation.procedures {

@@ -81,7 +81,10 @@ pub fn run(args: &TeachArgs) -> anyhow::Result<PathBuf> {
 
     let rollout = rollouts(&policy, &demonstration, &task, args)?;
     if rollout.success_rate() < 0.5 {
-        tracing::warn!("only {:.0} % of the kinematic rollouts reach the goal", 100.0 * rollout.success_rate());
+        tracing::warn!(
+            "only {:.0} % of the kinematic rollouts reach the goal",
+            100.0 * rollout.success_rate()
+        );
     }
     std::fs::create_dir_all(&out).with_context(|| out.display().to_string())?;
     demonstration.save(&out.join("demonstration.json"))?;

@@ -7,7 +7,7 @@ use anyhow::{Context as _, bail};
 use std::collections::BTreeMap;
 use std::path::Path;
 use tdv_evaluation::{TrackingFrame, TrackingReport};
-use tdv_geometry::{Pose, Symmetry};
+use tdv_geometry::Pose;
 use tdv_msgs::tdv_msgs::msg::TrackedObject;
 use tdv_perception::visp::{self, Sequence};
 use tdv_perception::{Perceiver, PerceiverConfig};
@@ -19,8 +19,6 @@ use tdv_runtime::trial::{TrialSetup, run_replay};
 const QUALITY: u8 = 97;
 /// Seconds for the whole replay.
 const PATIENCE: f64 = 60.0;
-/// A turn (rad) between two frames that only a change of the symmetric equivalent explains.
-const JUMP: f64 = 0.7;
 
 /// Tracks the object of a data set and compares with its reference.
 pub fn run(args: &TrackingArgs) -> anyhow::Result<bool> {
@@ -108,7 +106,10 @@ fn live(args: &TrackingArgs, sequence: &Sequence) -> anyhow::Result<TrackingRepo
     let outcome = run_replay(&TrialSetup {
         launch_file: launch_file.into(),
         share: launch::share(launch_file),
-        arguments: arguments.into_iter().map(|(k, v)| (k.to_owned(), v)).collect::<BTreeMap<_, _>>(),
+        arguments: arguments
+            .into_iter()
+            .map(|(k, v)| (k.to_owned(), v))
+            .collect::<BTreeMap<_, _>>(),
         log_folder: args.run.join("logs"),
         domain: 59,
         patience: PATIENCE,
@@ -119,7 +120,8 @@ fn live(args: &TrackingArgs, sequence: &Sequence) -> anyhow::Result<TrackingRepo
     for exit in &outcome.exits {
         println!("{} ended ({:?}); see {}", exit.name, exit.code, args.run.join("logs").display());
     }
-    let (mut frames, mut jumps, mut last) = (Vec::new(), 0, None::<Pose>);
+    let mut judge = visp::Judge::default();
+    let mut frames = Vec::new();
     for index in 0..sequence.len {
         let stamp = visp::stamp_of(index);
         let pose = outcome.objects.get(&stamp).and_then(|all| {
@@ -129,21 +131,14 @@ fn live(args: &TrackingArgs, sequence: &Sequence) -> anyhow::Result<TrackingRepo
             }
             Some(t_base_camera.inverse() * tracked::usable_pose(all, "cube")?)
         });
-        if let (Some(last), Some(pose)) = (&last, &pose) {
-            jumps += usize::from(last.rotation.angle_to(&pose.rotation) > JUMP);
-        }
-        last = pose.or(last);
-        let error = pose.and_then(|pose| match sequence.reference.get(index) {
-            Some((truth, true)) => Some(Symmetry::Cube.distance(&pose, truth)),
-            _ => None,
-        });
+        let error = judge.frame(sequence, index, pose.as_ref());
         frames.push(TrackingFrame {
             frame: index,
             tracked: pose.is_some(),
-            translation_mm: error.map(|(d, _)| 1e3 * d),
-            rotation_deg: error.map(|(_, a)| a.to_degrees()),
+            translation_mm: error.map(|(d, _)| d),
+            rotation_deg: error.map(|(_, a)| a),
             ms: outcome.delay_ms.get(&stamp).copied().unwrap_or(f64::NAN),
         });
     }
-    Ok(TrackingReport::new(frames, jumps))
+    Ok(TrackingReport::new(frames, judge.jumps()))
 }

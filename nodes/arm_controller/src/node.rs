@@ -56,8 +56,10 @@ pub async fn control(node: Node, params: Params<ArmParameters>) -> anyhow::Resul
         core,
         input,
         runtime: Handle::current(),
-        trajectory: node
-            .publisher(&format!("/{}/joint_trajectory", p.trajectory_controller), Qos::reliable(1))?,
+        trajectory: node.publisher(
+            &format!("/{}/joint_trajectory", p.trajectory_controller),
+            Qos::reliable(1),
+        )?,
         status: node.publisher("/arm_controller/status", Qos::latched())?,
         gripper: node.action_client(&format!("/{}/gripper_cmd", p.gripper_controller))?,
         switch_reset: node.client("/switch_policy/reset")?,
@@ -187,7 +189,8 @@ impl Loop {
         if output.reset_switch {
             let client = self.switch_reset.clone();
             self.runtime.spawn(async move {
-                if let Err(e) = client.call(TriggerRequest::default(), Duration::from_secs(2)).await {
+                if let Err(e) = client.call(TriggerRequest::default(), Duration::from_secs(2)).await
+                {
                     tracing::error!("the switch policy was not reset: {e}");
                 }
             });

@@ -45,7 +45,9 @@ impl Parameters for ArmParameters {
             "trajectory_controller" => "controller that takes the joint trajectories",
             "gripper_controller" => "controller that offers the gripper action",
             "require_program" => "move only while robot_program_running is true",
-            "grasp_offset" => "control experiment: shifts all reach plans by x, y, z (m, base_link)",
+            "grasp_offset" => {
+                "control experiment: shifts all reach plans by x, y, z (m, base_link)"
+            }
             "control.auto_resume" => "go on by itself after a stop; only for the lab",
             "control.lookahead" => "seconds ahead on the plan, makes up for the lag of the servo",
             _ => "",

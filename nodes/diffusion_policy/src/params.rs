@@ -35,7 +35,9 @@ impl Parameters for PolicyParameters {
             problems.push("'model' is empty: give the folder that `tdv teach` wrote".into());
         }
         if self.open_loop && self.task.is_empty() {
-            problems.push("'task' is empty: 'open_loop' bends the demonstration by the task file".into());
+            problems.push(
+                "'task' is empty: 'open_loop' bends the demonstration by the task file".into(),
+            );
         }
         if self.inference_steps < 1 {
             problems.push(format!("'inference_steps' is {}: 1 or more", self.inference_steps));

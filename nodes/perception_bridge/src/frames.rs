@@ -39,11 +39,13 @@ impl<A, B> Pairing<A, B> {
     /// The oldest pair that is newer than the last one; its stamp is that of `a`.
     fn pair(&mut self) -> Option<(Stamp, A, B)> {
         let near = |s: Stamp, t: Stamp| s.since(t).abs() <= self.tolerance;
-        let found = self.a.iter().enumerate().find_map(|(i, (s, _))| {
-            self.b.iter().position(|(t, _)| near(*s, *t)).map(|j| (i, j))
-        });
+        let found =
+            self.a.iter().enumerate().find_map(|(i, (s, _))| {
+                self.b.iter().position(|(t, _)| near(*s, *t)).map(|j| (i, j))
+            });
         let Some((i, j)) = found else {
-            for extra in [self.a.len().saturating_sub(WAITING), self.b.len().saturating_sub(WAITING)]
+            for extra in
+                [self.a.len().saturating_sub(WAITING), self.b.len().saturating_sub(WAITING)]
             {
                 self.dropped += extra as u64;
             }
@@ -56,7 +58,8 @@ impl<A, B> Pairing<A, B> {
         self.b.drain(..j);
         let ((stamp, a), (_, b)) = (self.a.pop_front()?, self.b.pop_front()?);
         // A frame that is shown twice (a replay that repeats itself) counts once.
-        if self.last.is_some_and(|l| stamp <= l) && self.last.is_some_and(|l| l.since(stamp) < 10.0) {
+        if self.last.is_some_and(|l| stamp <= l) && self.last.is_some_and(|l| l.since(stamp) < 10.0)
+        {
             return None;
         }
         self.last = Some(stamp);

@@ -101,7 +101,10 @@ fn subscribe_images(node: &Node, p: &BridgeParameters, sender: Sender<Pair>) -> 
     let deliver = {
         let sender = Arc::new(sender);
         let diagnostics = node.diagnostics().clone();
-        move |stamp: Stamp, frame_id: &str, pair: Option<(ColorMessage, DepthMessage)>, dropped: u64| {
+        move |stamp: Stamp,
+              frame_id: &str,
+              pair: Option<(ColorMessage, DepthMessage)>,
+              dropped: u64| {
             diagnostics.set("unpaired_images", dropped);
             if let Some((color, depth)) = pair {
                 sender.send((tracked::header_in(stamp, frame_id), color, depth));
@@ -127,9 +130,13 @@ fn subscribe_images(node: &Node, p: &BridgeParameters, sender: Sender<Pair>) -> 
     };
     let qos = if p.every_frame { Qos::reliable(32) } else { Qos::sensor_data() };
     if p.compressed {
-        node.subscribe(&format!("{}/compressed", p.color_topic), qos, move |m: CompressedImage| {
-            color(&m.header.clone(), ColorMessage::Compressed(m));
-        })?;
+        node.subscribe(
+            &format!("{}/compressed", p.color_topic),
+            qos,
+            move |m: CompressedImage| {
+                color(&m.header.clone(), ColorMessage::Compressed(m));
+            },
+        )?;
         let topic = format!("{}/compressedDepth", p.depth_topic);
         node.subscribe(&topic, qos, move |m: CompressedImage| {
             depth(&m.header.clone(), DepthMessage::Compressed(m));
@@ -230,7 +237,13 @@ impl Work {
             })
             .collect();
         if let Some(table) = &output.table {
-            detections.push(tracked::detection_message(header, "table", &table.pose, [0.0; 36], 1.0));
+            detections.push(tracked::detection_message(
+                header,
+                "table",
+                &table.pose,
+                [0.0; 36],
+                1.0,
+            ));
         }
         self.detections.publish(Detection3DArray { header: header.clone(), detections });
         if let Some(publisher) = &self.segmentation {
@@ -255,12 +268,10 @@ fn decode(
     let color = match color {
         ColorMessage::Raw(m) => convert::color_from_image(&p.color_topic, m),
         ColorMessage::Compressed(m) => convert::color_from_compressed(&p.color_topic, m),
-    }
-    ?;
+    }?;
     let depth = match depth {
         DepthMessage::Raw(m) => convert::depth_from_image(&p.depth_topic, m),
         DepthMessage::Compressed(m) => convert::depth_from_compressed(&p.depth_topic, m),
-    }
-    ?;
+    }?;
     Ok((color, depth))
 }

@@ -55,7 +55,8 @@ impl Parameters for BridgeParameters {
     fn validate(&self) -> Vec<String> {
         let mut problems = Vec::new();
         if !(self.sync_tolerance.is_finite() && self.sync_tolerance >= 0.0) {
-            problems.push(format!("'sync_tolerance' is {}: seconds, 0 or more", self.sync_tolerance));
+            problems
+                .push(format!("'sync_tolerance' is {}: seconds, 0 or more", self.sync_tolerance));
         }
         for entry in &self.mesh_scales {
             let scale = entry.split_once(':').and_then(|(_, s)| s.parse::<f64>().ok());
@@ -72,7 +73,9 @@ impl Parameters for BridgeParameters {
             "objects" => "catalogue names to look for; empty: those that the prompt names",
             "mesh_scales" => "NAME:FACTOR for meshes whose size is known better than the file says",
             "compressed" => "subscribe to COLOR/compressed and DEPTH/compressedDepth",
-            "sync_tolerance" => "largest difference (s) of the stamps of colour and depth; 0: equal",
+            "sync_tolerance" => {
+                "largest difference (s) of the stamps of colour and depth; 0: equal"
+            }
             "every_frame" => "process every frame in order (replay) instead of the newest (live)",
             "freeze_after_first" => "control experiment: repeat the first complete result for ever",
             "publish_segmentation" => "publish the label image on ~/segmentation",

@@ -163,9 +163,7 @@ impl Outputs {
         let transforms = output
             .objects
             .iter()
-            .filter_map(|o| {
-                Some(tracked::transform("base_link", &o.name, output.stamp, &o.pose?))
-            })
+            .filter_map(|o| Some(tracked::transform("base_link", &o.name, output.stamp, &o.pose?)))
             .collect();
         self.tf.publish(TFMessage { transforms });
     }

@@ -30,7 +30,8 @@ impl Parameters for TrackerParameters {
         let mut problems = Vec::new();
         if self.task.is_empty() && self.objects.is_empty() {
             problems.push(
-                "'task' and 'objects' are empty: give a file of config/tasks or catalogue names".into(),
+                "'task' and 'objects' are empty: give a file of config/tasks or catalogue names"
+                    .into(),
             );
         }
         if self.tracking.reject > self.tracking.accept {

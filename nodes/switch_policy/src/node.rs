@@ -46,8 +46,7 @@ pub async fn decide(node: Node, mut params: Params<SwitchParameters>) -> anyhow:
     let names: Vec<&str> = demonstration.procedures.iter().map(|d| d.name.as_str()).collect();
     let policy =
         SwitchPolicy::load_for(&folder.join("switch.safetensors"), &demonstration.task, &names)?;
-    let history =
-        HistoryConfig { length: policy.history_len(), dt: policy.dt, max_gap: p.max_gap };
+    let history = HistoryConfig { length: policy.history_len(), dt: policy.dt, max_gap: p.max_gap };
     let mut decision = Decision {
         core: SwitchCore::new(names.len(), settings(&p, &policy))?,
         observer: Observer::new(&demonstration, history)?,
@@ -55,8 +54,10 @@ pub async fn decide(node: Node, mut params: Params<SwitchParameters>) -> anyhow:
         output: node.publisher("/switch_policy/procedure", Qos::latched())?,
         node: node.clone(),
     };
-    let mut objects = node.newest::<TrackedObjects>("/pose_tracker/objects", Qos::best_effort(5))?;
-    let mut status = node.newest::<ControllerStatus>("/arm_controller/status", Qos::best_effort(5))?;
+    let mut objects =
+        node.newest::<TrackedObjects>("/pose_tracker/objects", Qos::best_effort(5))?;
+    let mut status =
+        node.newest::<ControllerStatus>("/arm_controller/status", Qos::best_effort(5))?;
     let reset = Arc::new(AtomicBool::new(false));
     let flag = reset.clone();
     node.service::<Trigger, _, _>("~/reset", move |_request| {

@@ -65,7 +65,9 @@ impl Parameters for SwitchParameters {
     fn describe(name: &str) -> &'static str {
         match name {
             "model" => "folder with demonstration.json and switch.safetensors",
-            "first_procedure" => "procedure to begin with; 1 to replay a recording that shows no gripper",
+            "first_procedure" => {
+                "procedure to begin with; 1 to replay a recording that shows no gripper"
+            }
             "threshold" => "probability above which the end of a procedure counts",
             "consecutive" => "observations in a row above the threshold that switch",
             "guard_position" => "farther (m) from the demonstrated end there is no switch",

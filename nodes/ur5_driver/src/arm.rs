@@ -153,7 +153,8 @@ fn session(
         }
     }
     // An orderly end: the arm rests where it is.
-    let mut inputs = vec![Value::Int32(Command::Idle as i32), Value::Int32(heartbeat.wrapping_add(1))];
+    let mut inputs =
+        vec![Value::Int32(Command::Idle as i32), Value::Int32(heartbeat.wrapping_add(1))];
     inputs.extend([Value::Double(0.0); 6]);
     if client.is_running() {
         socket.write_all(&client.input(0, &inputs)?)?;

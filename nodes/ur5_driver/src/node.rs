@@ -58,11 +58,7 @@ pub async fn drive(node: Node, params: Params<DriverParameters>) -> anyhow::Resu
     Ok(())
 }
 
-fn take_trajectories(
-    node: &Node,
-    p: &DriverParameters,
-    shared: Arc<Shared>,
-) -> anyhow::Result<()> {
+fn take_trajectories(node: &Node, p: &DriverParameters, shared: Arc<Shared>) -> anyhow::Result<()> {
     let topic = format!("/{}/joint_trajectory", p.controller_name);
     let clock = node.clock().clone();
     let diagnostics = node.diagnostics().clone();
@@ -279,7 +275,10 @@ impl Outputs {
         let program = s.program.map_or("unknown".into(), |p| format!("{p:?}"));
         self.node.diagnostics().level(
             level,
-            format!("robot mode {}, safety mode {}, program {program}", s.robot_mode, s.safety_mode),
+            format!(
+                "robot mode {}, safety mode {}, program {program}",
+                s.robot_mode, s.safety_mode
+            ),
         );
     }
 

@@ -4,10 +4,10 @@ use std::sync::Arc;
 use tdv_geometry::{Pose, Stamp};
 use tdv_msgs::sensor_msgs::msg::{CameraInfo, Image};
 use tdv_runtime::{Node, Publisher, Qos, convert};
+use tdv_simulation::LabAssets;
 use tdv_simulation::backdrop::{Backdrop, BackdropConfig};
 use tdv_simulation::scene::Knowledge;
 use tdv_simulation::sensor::{RgbdSensor, SceneItem, SensorConfig, SensorFrame};
-use tdv_simulation::LabAssets;
 
 /// Frame of the images.
 pub const FRAME: &str = "camera_color_optical_frame";
@@ -40,10 +40,8 @@ impl Camera {
         knowledge: &Knowledge,
         seed: u64,
     ) -> anyhow::Result<Self> {
-        let config = SensorConfig {
-            intrinsics: assets.scene.camera.intrinsics,
-            ..SensorConfig::lab()
-        };
+        let config =
+            SensorConfig { intrinsics: assets.scene.camera.intrinsics, ..SensorConfig::lab() };
         let qos = Qos::reliable(2);
         let backdrop = Backdrop::generate(&BackdropConfig::default(), seed);
         let mut sensor = RgbdSensor::new(config, seed);
@@ -66,12 +64,11 @@ impl Camera {
 
     pub fn publish(&mut self, snapshot: &Snapshot) {
         let mut items: Vec<SceneItem> = self.backdrop.items();
-        items.extend(
-            self.assets
-                .instances(&snapshot.poses)
-                .into_iter()
-                .map(|i| SceneItem { mesh: i.mesh, pose: i.pose, id: i.id }),
-        );
+        items.extend(self.assets.instances(&snapshot.poses).into_iter().map(|i| SceneItem {
+            mesh: i.mesh,
+            pose: i.pose,
+            id: i.id,
+        }));
         let light = &self.backdrop.lighting;
         self.sensor.capture(&self.pose, &items, light, snapshot.number, &mut self.frame);
         let header = convert::header(snapshot.stamp, FRAME);

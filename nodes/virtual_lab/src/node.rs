@@ -69,8 +69,7 @@ pub async fn simulate(node: Node, params: Params<LabParameters>) -> anyhow::Resu
         async { TriggerResponse { success: true, message: "an object will be displaced".into() } }
     })?;
     let world = World {
-        true_joints: node
-            .publisher("/virtual_lab/ground_truth/joint_states", Qos::reliable(10))?,
+        true_joints: node.publisher("/virtual_lab/ground_truth/joint_states", Qos::reliable(10))?,
         truth: node.publisher("/virtual_lab/ground_truth/objects", Qos::reliable(5))?,
         verdict: node.publisher("/virtual_lab/ground_truth/verdict", Qos::latched())?,
         lab,

@@ -209,12 +209,17 @@ fn damaged_input_is_left_out_without_a_panic() {
 #[test]
 fn still_instances_look_the_same_remembered_or_not() {
     let mut ground = primitives::cuboid([0.6, 0.4, 0.02], [120, 90, 60]);
-    ground.texture = Some(RgbImage::from_fn(16, 16, |x, y| crate::Rgb([(x * 16) as u8, 200, (y * 9) as u8])));
+    ground.texture =
+        Some(RgbImage::from_fn(16, 16, |x, y| crate::Rgb([(x * 16) as u8, 200, (y * 9) as u8])));
     let ball = primitives::sphere(0.05, 32, [10, 200, 30]);
     let lighting = Lighting { specular: 0.3, ..Lighting::default() };
     let scene = |x: f64| {
         [
-            Instance { mesh: &ground, pose: pose_from_xyz_rpy([0.0, 0.05, 0.7], [0.9, 0.1, 0.0]), id: 1 },
+            Instance {
+                mesh: &ground,
+                pose: pose_from_xyz_rpy([0.0, 0.05, 0.7], [0.9, 0.1, 0.0]),
+                id: 1,
+            },
             Instance { mesh: &ball, pose: pose_from_xyz_rpy([x, 0.0, 0.5], [0.0; 3]), id: 2 },
         ]
     };

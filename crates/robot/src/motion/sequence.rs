@@ -2,9 +2,7 @@
 
 use super::controller::{ArmController, Motion};
 use super::hold::Cause;
-use super::types::{
-    ControllerInput, GripperFeedback, GripperRequest, ProcedureState, StatusCode,
-};
+use super::types::{ControllerInput, GripperFeedback, GripperRequest, ProcedureState, StatusCode};
 use crate::gripper::gap_from_knuckle;
 use crate::kinematics::Joints;
 use tdv_geometry::{Pose, Stamp, pose_distance};
@@ -166,12 +164,7 @@ impl ArmController {
         };
     }
 
-    fn follow(
-        &mut self,
-        now: Stamp,
-        input: &ControllerInput,
-        procedure: ProcedureState,
-    ) -> Motion {
+    fn follow(&mut self, now: Stamp, input: &ControllerInput, procedure: ProcedureState) -> Motion {
         if self.held && self.object_lost(now, input) {
             return Motion::Rest;
         }

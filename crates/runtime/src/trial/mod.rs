@@ -70,10 +70,6 @@ pub struct TrialOutcome {
     pub wall: f64,
     /// The bag of the run.
     pub bag: Option<PathBuf>,
-    /// Since when the controller says that the task is done.
-    pub done: Option<Instant>,
-    /// When the true joints last moved.
-    pub moved: Option<Instant>,
     /// What the kill did, when one was asked for and the arm moved.
     pub fault: Option<FaultFigures>,
 }
@@ -116,6 +112,10 @@ struct Watch {
     status: Inbox<ControllerStatus>,
     diagnostics: Inbox<DiagnosticArray>,
     images: Option<Inbox<Image>>,
+    /// Since when the controller says that the task is done.
+    done: Option<Instant>,
+    /// When the true joints last moved.
+    moved: Instant,
 }
 
 impl Watch {
@@ -140,6 +140,8 @@ impl Watch {
             images: pictures
                 .then(|| node.newest("/camera/camera/color/image_raw", Qos::sensor_data()))
                 .transpose()?,
+            done: None,
+            moved: Instant::now(),
         })
     }
 }
@@ -225,8 +227,8 @@ async fn watch_trial(setup: &TrialSetup) -> Result<TrialOutcome, TrialError> {
             }
         }
         // The robot has done all that it will do: the judge has had its time.
-        let idle = outcome.done.is_some_and(|t| t.elapsed() > AFTER_DONE)
-            || outcome.moved.unwrap_or(began).elapsed() > STILL;
+        let idle =
+            watch.done.is_some_and(|t| t.elapsed() > AFTER_DONE) || watch.moved.elapsed() > STILL;
         let finished = idle || outcome.verdict.as_ref().is_some_and(|v| v.finished);
         if finished || died || began.elapsed().as_secs_f64() > setup.patience {
             break;
@@ -276,7 +278,7 @@ fn collect(
     }
     while let Some(m) = watch.joints.try_recv() {
         if m.velocity.iter().any(|v| v.abs() > MOVING) {
-            outcome.moved = Some(now);
+            watch.moved = now;
         }
         if let Some(fault) = fault {
             fault.joints(&m, tracked::stamp(&m.header));
@@ -294,7 +296,7 @@ fn collect(
         stages.command(now);
     }
     while let Some(m) = watch.status.try_recv() {
-        outcome.done = if m.done { outcome.done.or(Some(now)) } else { None };
+        watch.done = if m.done { watch.done.or(Some(now)) } else { None };
         if let Some(fault) = fault {
             fault.sentence("arm_controller", &m.sentence);
         }
@@ -325,7 +327,14 @@ mod tests {
     #[test]
     fn a_story_does_not_repeat_itself_over_numbers() {
         let mut story = Vec::new();
-        for s in ["plan 80 ms old", "late 151 ms", "plan 90 ms old", "late 152 ms", "gripper", "plan 3 ms old"] {
+        for s in [
+            "plan 80 ms old",
+            "late 151 ms",
+            "plan 90 ms old",
+            "late 152 ms",
+            "gripper",
+            "plan 3 ms old",
+        ] {
             tell(&mut story, s.to_owned());
         }
         assert_eq!(story, ["plan 80 ms old", "late 151 ms", "gripper", "plan 3 ms old"]);

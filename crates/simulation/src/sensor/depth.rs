@@ -273,8 +273,7 @@ impl Noise {
 
     /// A row of readings; whole patches are lost where the field `lost` is extreme.
     fn read(&self, z: &[f32], own: &[f32], shared: &[f32], lost: &[f32], out: &mut [f32]) {
-        for ((((to, z), own), shared), lost) in
-            out.iter_mut().zip(z).zip(own).zip(shared).zip(lost)
+        for ((((to, z), own), shared), lost) in out.iter_mut().zip(z).zip(own).zip(shared).zip(lost)
         {
             let read = self.one(*z, *own, *shared);
             *to = if lost.abs() > self.lost_above { 0.0 } else { read };

@@ -1,4 +1,6 @@
-use super::{ClientPackage, FrameReader, PROTOCOL_VERSION, Recipe, ServerPackage, TextLevel, Value};
+use super::{
+    ClientPackage, FrameReader, PROTOCOL_VERSION, Recipe, ServerPackage, TextLevel, Value,
+};
 use crate::ProtocolError;
 
 /// What a client wants from the controller.
@@ -207,7 +209,8 @@ mod tests {
         let (mut client, _) = Client::new(config());
         assert!(client.receive(&ServerPackage::ProtocolVersion(false).to_bytes()).is_err());
         let (mut client, _) = Client::new(config());
-        for a in [ServerPackage::ProtocolVersion(true), ServerPackage::ControllerVersion([5, 0, 0, 0])]
+        for a in
+            [ServerPackage::ProtocolVersion(true), ServerPackage::ControllerVersion([5, 0, 0, 0])]
         {
             client.receive(&a.to_bytes()).unwrap();
         }
