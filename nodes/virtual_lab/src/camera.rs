@@ -70,12 +70,15 @@ impl Camera {
             id: i.id,
         }));
         let light = &self.backdrop.lighting;
-        self.sensor.capture(&self.pose, &items, light, snapshot.number, &mut self.frame);
         let header = convert::header(snapshot.stamp, FRAME);
         for info in &self.info {
             info.publish(convert::info_from_intrinsics(&self.claimed, header.clone()));
         }
-        self.depth.publish(convert::image_from_depth(&self.frame.depth, header.clone()));
-        self.color.publish(convert::image_from_color(&self.frame.color, header));
+        let (color, colored) = (&self.color, header.clone());
+        let number = snapshot.number;
+        self.sensor.capture_in_turn(&self.pose, &items, light, number, &mut self.frame, |image| {
+            color.publish(convert::image_from_color(image, colored));
+        });
+        self.depth.publish(convert::image_from_depth(&self.frame.depth, header));
     }
 }

@@ -1,13 +1,13 @@
 //! The CPU rasteriser. First pass: every triangle writes inverse depth and its own number into a
 //! visibility buffer. Second pass: each covered pixel is shaded once, from the triangle it shows.
 
-mod memory;
+mod base;
 mod resolve;
 mod setup;
 
 use crate::lighting::Lighting;
 use crate::{DepthImage, Intrinsics, Mesh, RgbImage};
-use memory::Memory;
+use base::Base;
 use resolve::Shader;
 use tdv_geometry::Pose;
 
@@ -56,10 +56,10 @@ pub struct Renderer {
     /// badly wound ones get holes). Off by default.
     pub cull_backfaces: bool,
     /// How many instances at the head of every scene are the same meshes, unchanged, from call to call.
-    /// While camera, light and their poses stay too, their pixels are coloured once and then copied;
-    /// the images are the same to the byte. 0 by default.
+    /// While camera, light and their poses stay too, they are drawn once, and later pictures begin as a
+    /// copy of that; the images are the same to the byte. 0 by default.
     pub still: usize,
-    memory: Memory,
+    base: Base,
     camera: Vec<[f32; 3]>,
     normals: Vec<[f32; 3]>,
     screen: Vec<[f64; 3]>,
@@ -84,30 +84,42 @@ impl Renderer {
         lighting: &Lighting,
         out: &mut Rendered,
     ) {
-        self.visibility(camera, scene);
+        let (still, moving) = scene.split_at(self.still.min(scene.len()));
+        if still.is_empty() {
+            self.draw(camera, scene, None, lighting, out);
+            return;
+        }
+        let mut base = std::mem::take(&mut self.base);
+        if !base.is_of(camera, still, lighting) {
+            self.draw(camera, still, None, lighting, &mut base.image);
+            base.inv_z.clone_from(&self.inv_z);
+        }
+        self.draw(camera, moving, Some(&base), lighting, out);
+        self.base = base;
+    }
+
+    /// Draws a scene over `base`, or over the background.
+    fn draw(
+        &mut self,
+        camera: &Intrinsics,
+        scene: &[Instance<'_>],
+        base: Option<&Base>,
+        lighting: &Lighting,
+        out: &mut Rendered,
+    ) {
+        self.visibility(camera, scene, base);
         let pixels = fit(camera, &mut out.depth, &mut out.ids, &mut out.normals);
         if out.color.dimensions() != (camera.width, camera.height) {
             out.color = RgbImage::new(camera.width, camera.height);
         }
         debug_assert_eq!(out.color.as_raw().len(), pixels * 3);
-        let mut shader = Shader::new(lighting);
-        let mut memory = std::mem::take(&mut self.memory);
-        let known = memory.known(camera, &scene[..self.still.min(scene.len())], lighting);
-        // Triangles are numbered in the order of the scene.
-        let still = self.drawn.partition_point(|(index, _)| (*index as usize) < self.still);
-        shader.remember(known.then_some((&memory.visible, &memory.color)), still as u32);
         self.resolve(
             camera,
             scene,
+            base,
             (&mut out.depth.data, &mut out.ids, &mut out.normals),
-            Some((&mut shader, &mut out.color)),
+            Some((&Shader::new(lighting), &mut out.color)),
         );
-        if self.still > 0 {
-            // The next picture starts from an empty buffer anyway.
-            std::mem::swap(&mut memory.visible, &mut self.visible);
-            memory.color.clone_from(&out.color);
-        }
-        self.memory = memory;
     }
 
     /// Depth, ids and normals alone: the fast path.
@@ -117,9 +129,10 @@ impl Renderer {
         scene: &[Instance<'_>],
         out: &mut DepthOnly,
     ) {
-        self.visibility(camera, scene);
+        self.visibility(camera, scene, None);
         fit(camera, &mut out.depth, &mut out.ids, &mut out.normals);
-        self.resolve(camera, scene, (&mut out.depth.data, &mut out.ids, &mut out.normals), None);
+        let fields = (&mut *out.depth.data, &mut *out.ids, &mut *out.normals);
+        self.resolve(camera, scene, None, fields, None);
     }
 }
 

@@ -1,5 +1,6 @@
 //! Second pass: what each pixel shows.
 
+use super::base::Base;
 use super::{Instance, Renderer};
 use crate::lighting::Lighting;
 use crate::mesh::{nearest_texel, repeat};
@@ -140,8 +141,9 @@ impl Renderer {
         &self,
         camera: &Intrinsics,
         scene: &[Instance<'_>],
+        base: Option<&Base>,
         (depth, ids, normals): (&mut [f32], &mut [u16], &mut [V3]),
-        mut color: Option<(&mut Shader<'_>, &mut RgbImage)>,
+        mut color: Option<(&Shader, &mut RgbImage)>,
     ) {
         let width = camera.width as usize;
         if width == 0 {
@@ -168,12 +170,22 @@ impl Renderer {
                 let all = row.start + span.start..row.start + span.end;
                 let pixels = 3 * all.start..3 * all.end;
                 if seen == 0 {
-                    depth[span.clone()].fill(0.0);
-                    ids[span.clone()].fill(0);
-                    normals[span].fill([0.0; 3]);
-                    if let Some((shader, image)) = &mut color {
-                        for pixel in image.as_mut()[pixels].chunks_exact_mut(3) {
-                            pixel.copy_from_slice(&shader.background);
+                    if let Some(Base { image: base, .. }) = base {
+                        depth[span.clone()].copy_from_slice(&base.depth.data[all.clone()]);
+                        ids[span.clone()].copy_from_slice(&base.ids[all.clone()]);
+                        normals[span].copy_from_slice(&base.normals[all]);
+                        if let Some((_, image)) = &mut color {
+                            image.as_mut()[pixels.clone()]
+                                .copy_from_slice(&base.color.as_raw()[pixels]);
+                        }
+                    } else {
+                        depth[span.clone()].fill(0.0);
+                        ids[span.clone()].fill(0);
+                        normals[span].fill([0.0; 3]);
+                        if let Some((shader, image)) = &mut color {
+                            for pixel in image.as_mut()[pixels].chunks_exact_mut(3) {
+                                pixel.copy_from_slice(&shader.background);
+                            }
                         }
                     }
                     continue;
@@ -194,7 +206,7 @@ impl Renderer {
                     let texture = scene[facet.instance].mesh.texture.as_ref();
                     let pixels = &mut image.as_mut()[pixels];
                     let run = (&*depth, inverse, rays, ray_y);
-                    shader.color(facet, texture, run, normals, (seen, all), pixels);
+                    shader.fill(facet, texture, run, normals, pixels);
                 }
             }
         }
@@ -245,11 +257,7 @@ fn bilinear(texture: &RgbImage, uv: [f32; 2]) -> V3 {
 }
 
 /// Lighting prepared for one image.
-pub(super) struct Shader<'a> {
-    /// Triangle numbers (plus one) and colours of the last image.
-    last: Option<(&'a [u32], &'a [u8])>,
-    /// Triangles below this number look as they did then.
-    still: u32,
+pub(super) struct Shader {
     ambient: V3,
     lights: Vec<(V3, V3)>,
     specular: f32,
@@ -262,58 +270,15 @@ pub(super) struct Shader<'a> {
 /// Depths, inverse depths and the rays' x of a run of pixels, and their common ray y.
 type Run<'a> = (&'a [f32], &'a [f32], &'a [f32], f32);
 
-impl<'a> Shader<'a> {
+impl Shader {
     pub(super) fn new(lighting: &Lighting) -> Self {
         Self {
-            last: None,
-            still: 0,
             ambient: lighting.ambient,
             lights: lighting.lights.iter().map(|l| (normalize(l.direction), l.color)).collect(),
             specular: lighting.specular,
             shininess: lighting.shininess,
             gloss_from: 1e-4_f32.powf(1.0 / lighting.shininess.max(1e-3)),
             background: lighting.background,
-        }
-    }
-
-    /// From now on, pixels that showed the same one of the first `still` triangles in the last image
-    /// (triangle numbers plus one, colours) are copied from it.
-    pub(super) fn remember(&mut self, last: Option<(&'a Vec<u32>, &'a RgbImage)>, still: u32) {
-        self.last = last.map(|(visible, color)| (visible.as_slice(), color.as_raw().as_slice()));
-        self.still = still;
-    }
-
-    /// Colours a run of pixels of the triangle with number `seen`, at `all` of the whole image.
-    fn color(
-        &self,
-        facet: &Facet,
-        texture: Option<&RgbImage>,
-        (depth, inverse, rays, ray_y): Run<'_>,
-        normals: &[V3],
-        (seen, all): (u32, std::ops::Range<usize>),
-        pixels: &mut [u8],
-    ) {
-        let fill = |span: std::ops::Range<usize>, pixels: &mut [u8]| {
-            let run = (&depth[span.clone()], &inverse[span.clone()], &rays[span.clone()], ray_y);
-            self.fill(facet, texture, run, &normals[span], pixels);
-        };
-        let Some((visible, color)) = self.last.filter(|_| seen <= self.still) else {
-            fill(0..depth.len(), pixels);
-            return;
-        };
-        let (before, old) = (&visible[all.clone()], &color[3 * all.start..3 * all.end]);
-        let mut from = 0;
-        while from < before.len() {
-            let same = before[from] == seen;
-            let run = before[from..].iter().take_while(|v| (**v == seen) == same).count();
-            let span = from..from + run;
-            from += run;
-            let bytes = 3 * span.start..3 * span.end;
-            if same {
-                pixels[bytes.clone()].copy_from_slice(&old[bytes]);
-            } else {
-                fill(span, &mut pixels[bytes]);
-            }
         }
     }
 

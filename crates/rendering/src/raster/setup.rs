@@ -1,5 +1,6 @@
 //! First pass: vertices to the camera, triangles to the visibility buffer.
 
+use super::base::Base;
 use super::{Instance, NEAR, Renderer};
 use crate::Intrinsics;
 
@@ -7,12 +8,21 @@ use crate::Intrinsics;
 type Screen = [f64; 3];
 
 impl Renderer {
-    /// Fills `inv_z`, `visible` (0 = nothing, else index into `drawn` plus one) and `drawn`
-    /// (instance, triangle).
-    pub(super) fn visibility(&mut self, camera: &Intrinsics, scene: &[Instance<'_>]) {
+    /// Fills `inv_z`, `visible` (0 = nothing but the base, else index into `drawn` plus one) and
+    /// `drawn` (instance, triangle).
+    pub(super) fn visibility(
+        &mut self,
+        camera: &Intrinsics,
+        scene: &[Instance<'_>],
+        base: Option<&Base>,
+    ) {
         let pixels = camera.width as usize * camera.height as usize;
-        self.inv_z.clear();
-        self.inv_z.resize(pixels, 0.0);
+        if let Some(base) = base {
+            self.inv_z.clone_from(&base.inv_z);
+        } else {
+            self.inv_z.clear();
+            self.inv_z.resize(pixels, 0.0);
+        }
         self.visible.clear();
         self.visible.resize(pixels, 0);
         self.camera.clear();

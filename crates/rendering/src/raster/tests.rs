@@ -238,5 +238,6 @@ fn still_instances_look_the_same_remembered_or_not() {
         remembering.render(&K, &items, &light, &mut a);
         Renderer::new().render(&K, &items, &light, &mut b);
         assert!(a.color == b.color && a.ids == b.ids && a.depth.data == b.depth.data, "image {i}");
+        assert!(a.normals == b.normals, "image {i}");
     }
 }

@@ -84,10 +84,11 @@ impl ColorNoise {
         let loss = self.vignette as f32 / corner;
         let (read, shot) = ((self.read * self.read) as f32, self.shot as f32);
         // What the columns have in common, channel by channel.
-        let columns: Vec<(f32, f32)> = (0..stride)
+        let gain: Vec<f32> = (0..stride).map(|i| gains[i % 3]).collect();
+        let dark: Vec<f32> = (0..stride)
             .map(|i| {
                 let dx = (i / 3) as f32 - (w as f32 - 1.0) / 2.0;
-                (gains[i % 3], loss * dx * dx)
+                loss * dx * dx
             })
             .collect();
         for (y, target) in out.chunks_exact_mut(stride).enumerate() {
@@ -119,12 +120,13 @@ impl ColorNoise {
             let dy = y as f32 - (h as f32 - 1.0) / 2.0;
             let light = 1.0 - loss * dy * dy;
             let noise = scratch.tape.row(hash(row_key ^ y as u32), stride);
-            for (((to, value), (gain, dark)), n) in
-                target.iter_mut().zip(&scratch.row).zip(&columns).zip(noise)
+            for ((((to, value), gain), dark), n) in
+                target.iter_mut().zip(&scratch.row).zip(&gain).zip(&dark).zip(noise)
             {
                 let v = value * gain * (light - dark);
-                let noisy = v + n * (read + shot * v).sqrt() + 0.5;
-                *to = noisy.clamp(0.0, 255.0) as i32 as u8;
+                let noisy = v + n * (read + shot * v).sqrt();
+                // Above 2^23 a float's last bits are a whole number: rounding without branches.
+                *to = (noisy.clamp(0.0, 255.0) + 8_388_608.0).to_bits() as u8;
             }
         }
     }

@@ -120,6 +120,20 @@ impl RgbdSensor {
         frame: u64,
         out: &mut SensorFrame,
     ) {
+        self.capture_in_turn(t_base_camera, scene, lighting, frame, out, |_| {});
+    }
+
+    /// As [`capture`](Self::capture); `seen` gets the colour image before the depth image is made, so
+    /// that the one can travel meanwhile.
+    pub fn capture_in_turn(
+        &mut self,
+        t_base_camera: &Pose,
+        scene: &[SceneItem<'_>],
+        lighting: &Lighting,
+        frame: u64,
+        out: &mut SensorFrame,
+        seen: impl FnOnce(&RgbImage),
+    ) {
         let t_camera_base = t_base_camera.inverse();
         let instances: Vec<Instance<'_>> = scene
             .iter()
@@ -128,11 +142,14 @@ impl RgbdSensor {
         let lighting = lighting.in_camera(&t_camera_base);
         let camera = &self.config.intrinsics;
         self.renderer.render(camera, &instances, &lighting, &mut self.rendered);
-        let r = &self.rendered;
-        self.config.depth.apply(camera, r, (self.seed, frame), &mut self.depth, &mut out.depth);
-        self.config.color.apply(&r.color, (self.seed, frame), &mut self.color, &mut out.color);
-        out.ids.clone_from(&r.ids);
-        out.exact.clone_from(&r.depth);
+        let r = &mut self.rendered;
+        let key = (self.seed, frame);
+        self.config.color.apply(&r.color, key, &mut self.color, &mut out.color);
+        seen(&out.color);
+        self.config.depth.apply(camera, r, key, &mut self.depth, &mut out.depth);
+        // The next rendering writes every pixel of whatever buffers it finds.
+        std::mem::swap(&mut out.ids, &mut r.ids);
+        std::mem::swap(&mut out.exact, &mut r.depth);
     }
 }
 

@@ -83,10 +83,12 @@ impl Tape {
 pub(crate) struct Patches {
     cell: usize,
     key: u32,
-    columns: usize,
     /// Interpolation weights within a cell.
     weights: Vec<[f32; 2]>,
-    coarse: Vec<f32>,
+    /// The grid's rows above and below the last row asked for, interpolated across, and the number of
+    /// the upper one.
+    rows: [Vec<f32>; 2],
+    upper: Option<usize>,
 }
 
 impl Patches {
@@ -99,24 +101,39 @@ impl Patches {
                 [(1.0 - t) / norm, t / norm]
             })
             .collect();
-        let columns = width / cell + 2;
-        Self { cell, key, columns, weights, coarse: vec![0.0; columns] }
+        let rows = [vec![0.0; width], vec![0.0; width]];
+        Self { cell, key, weights, rows, upper: None }
     }
 
     /// The field along row `y`.
     pub(crate) fn row(&mut self, y: usize, out: &mut [f32]) {
-        let table = Gaussian::table();
-        let node =
-            |cx: usize, cy: usize| table.at(hash(self.key ^ hash((cy as u32) << 16 ^ cx as u32)));
-        let [a, b] = self.weights[y % self.cell];
         let cy = y / self.cell;
-        for (cx, slot) in self.coarse.iter_mut().enumerate().take(self.columns) {
-            *slot = a * node(cx, cy) + b * node(cx, cy + 1);
-        }
-        for (cells, chunk) in self.coarse.windows(2).zip(out.chunks_mut(self.cell)) {
-            for (slot, w) in chunk.iter_mut().zip(&self.weights) {
-                *slot = w[0] * cells[0] + w[1] * cells[1];
+        if self.upper != Some(cy) {
+            if self.upper.is_some_and(|u| u + 1 == cy) {
+                self.rows.swap(0, 1);
+            } else {
+                self.across(cy, 0);
             }
+            self.across(cy + 1, 1);
+            self.upper = Some(cy);
+        }
+        let [a, b] = self.weights[y % self.cell];
+        for ((slot, above), below) in out.iter_mut().zip(&self.rows[0]).zip(&self.rows[1]) {
+            *slot = a * above + b * below;
+        }
+    }
+
+    /// Interpolates row `cy` of the grid.
+    fn across(&mut self, cy: usize, into: usize) {
+        let table = Gaussian::table();
+        let node = |cx: usize| table.at(hash(self.key ^ hash((cy as u32) << 16 ^ cx as u32)));
+        let mut left = node(0);
+        for (cx, chunk) in self.rows[into].chunks_mut(self.cell).enumerate() {
+            let right = node(cx + 1);
+            for (slot, w) in chunk.iter_mut().zip(&self.weights) {
+                *slot = w[0] * left + w[1] * right;
+            }
+            left = right;
         }
     }
 }

@@ -1,31 +1,27 @@
-//! What the still part of a scene looked like in the last image.
+//! The still part of a scene, drawn once.
 
-use super::Instance;
+use super::{Instance, Rendered};
+use crate::Intrinsics;
 use crate::lighting::Lighting;
-use crate::{Intrinsics, RgbImage};
 use tdv_geometry::Pose;
 
-/// The last image and what it was made under.
+/// A picture of the still part and what it was made under.
 #[derive(Debug, Default)]
-pub(super) struct Memory {
+pub(super) struct Base {
     made_under: Option<(Intrinsics, Vec<Pose>, Lighting)>,
-    /// Number of the triangle that each pixel showed, plus one.
-    pub visible: Vec<u32>,
-    pub color: RgbImage,
+    /// Inverse depth (1/m), 0 where nothing is.
+    pub inv_z: Vec<f32>,
+    pub image: Rendered,
 }
 
-impl Memory {
-    /// Whether the last image was made under the same camera, still poses and light; from now on these.
-    pub fn known(
+impl Base {
+    /// Whether it was made under this camera, these poses and this light; if not, it is about to be.
+    pub fn is_of(
         &mut self,
         camera: &Intrinsics,
         still: &[Instance<'_>],
         lighting: &Lighting,
     ) -> bool {
-        if still.is_empty() {
-            self.made_under = None;
-            return false;
-        }
         let same = self.made_under.as_ref().is_some_and(|(c, poses, l)| {
             c == camera && l == lighting && still.iter().map(|i| &i.pose).eq(poses)
         });
