@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # One recorded demonstration -> parse -> multiply -> train -> the live graph carries the task out in the
-# virtual lab, from a start pose that was not demonstrated. Ends with `verdict: success` or `verdict: failure`.
+# virtual lab, from a start pose that was not demonstrated (NAME: a task with a recording in rosbags/). Ends with `verdict: success` or `verdict: failure`.
 #
 #     launch_scripts/demo.sh [--headless] [--seed N] [--task NAME]
 #

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # What demo.sh and test.sh need before they can build: a Rust toolchain, a C compiler, Python, the hand
 # networks. Installs from Debian's packages and PyPI only what is missing; a second run skips it all.
-# Sourced by the other scripts; sets CARGO.
+# Sourced by the other scripts.
 set -euo pipefail
 
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)

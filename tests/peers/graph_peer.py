@@ -37,7 +37,7 @@ LOOP = ["virtual_lab", "ur5_driver", "perception_bridge", "pose_tracker", "switc
 REPLAY = ["camera_replay", "perception_bridge", "pose_tracker", "switch_policy", "diffusion_policy"]
 TRUTH = "/virtual_lab/ground_truth/"
 # Every ROS node has these; they are nobody's interface here.
-COMMON = {"/parameter_events", "/rosout", "/clock"}
+COMMON = {"/parameter_events", "/rosout"}
 # Seconds after which a replay begins, so that nothing of it is missed.
 STARTUP_DELAY = 10.0
 failures = []
@@ -116,8 +116,9 @@ def subscribe_all(node, topics, seen):
 def check_graph(node, topics, names, seen, phase, recorded=()):
     """Nodes, topics, types, publishers and messages of what these nodes publish."""
     mine = {t: v for t, v in topics.items() if set(v[1]) & set(names) or "every" in v[1]}
-    # A replay has the topics of its bag.
-    mine = {t: v for t, v in mine.items() if "camera_replay" not in v[1] or not recorded or t in recorded}
+    # A replay has the topics of its bag, and the clock.
+    played = set(recorded) | {"/clock"}
+    mine = {t: v for t, v in mine.items() if "camera_replay" not in v[1] or not recorded or t in played}
 
     spin(node, 25.0, lambda: all(seen[t] for t in mine))
 

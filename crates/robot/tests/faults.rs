@@ -310,6 +310,25 @@ fn a_restarted_controller_goes_on_with_the_object_in_hand() {
 }
 
 #[test]
+fn a_switch_policy_that_begins_anew_makes_nothing_drop() {
+    let mut b = lab();
+    b.run(7.0);
+    assert_eq!((b.last_code(), b.procedure), (S::Following, 1));
+    let closed = b.knuckle;
+    b.procedure = 0;
+    b.run(1.5);
+    assert_eq!(b.last_code(), S::HoldStale);
+    assert!(b.last_sentence().contains("while an object is held"), "{}", b.last_sentence());
+    assert!((b.knuckle - closed).abs() < 0.01, "the fingers opened: {closed} {}", b.knuckle);
+    // By the status the policy has learned where the task was.
+    assert_eq!(b.controller.step(b.now, &b.input).status.procedure, 1);
+    b.procedure = 1;
+    b.run(40.0);
+    assert_eq!(b.last_code(), S::Done, "{:?} {}", b.log.codes, b.last_sentence());
+    assert!(!b.log.codes.contains(&S::Recovering));
+}
+
+#[test]
 fn a_gripper_that_does_not_open_is_named() {
     let mut b = lab();
     b.run(7.0);

@@ -90,7 +90,7 @@ const INTRODUCTION: [Duration; 2] = [Duration::from_millis(300), Duration::from_
 ///
 /// Fast DDS 2.14 (Jazzy's) drops endpoints that reach it out of order without a source timestamp, and
 /// RustDDS sends none: what we announce before Fast DDS knows us is repaired later than what we announce
-/// right after. Of nodes that start together, beside a peer that is there, it would miss a third.
+/// right after (docs/decisions/0004).
 fn introduce(participant: &DomainParticipant) {
     let began = Instant::now();
     let events = participant.status_listener();

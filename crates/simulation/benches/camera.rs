@@ -30,7 +30,7 @@ fn camera(c: &mut Criterion) {
             });
         });
     };
-    let lab = SensorConfig { intrinsics: lab.scene().camera.intrinsics, ..SensorConfig::lab() };
+    let lab = lab.scene().camera.sensor();
     picture("picture", lab.clone(), still);
     picture("picture, still part drawn anew", lab.clone(), 0);
     let mut perfect = lab.clone();

@@ -17,6 +17,8 @@ pub const FLOOR_ID: u16 = 2;
 pub const DISTRACTOR_ID: u16 = 3;
 /// The lowest id that the backdrop never uses.
 pub const FIRST_FREE_ID: u16 = 32;
+/// Most distractors that there can be.
+pub const MAX_DISTRACTORS: usize = 16;
 
 /// How to dress the scene. Positions in base_link, metres.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -28,7 +30,7 @@ pub struct BackdropConfig {
     pub table_y: [f64; 2],
     /// Height of the floor.
     pub floor_z: f64,
-    /// How many distractors (at most 16).
+    /// How many distractors (at most [`MAX_DISTRACTORS`]).
     pub distractors: usize,
     /// Distractors stay out of this range along x while inside `clear_y`.
     pub clear_x: [f64; 2],
@@ -83,7 +85,7 @@ impl Backdrop {
         let lighting = light(&mut rng);
         let mut fixtures = vec![table(config, &mut rng), floor(config, &mut rng)];
         let mut placed: Vec<(Vector2<f64>, f64)> = Vec::new();
-        for index in 0..config.distractors.min(16) {
+        for index in 0..config.distractors.min(MAX_DISTRACTORS) {
             if let Some(f) = distractor(config, index as u16, &mut placed, &mut rng) {
                 fixtures.push(f);
             }

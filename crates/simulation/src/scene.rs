@@ -1,7 +1,9 @@
 //! Scene files (`config/scenes/NAME.yaml`): what stands where, and what is left to chance.
 
+use crate::backdrop::MAX_DISTRACTORS;
 use crate::controller::Generation;
 use crate::error::SimulationError;
+use crate::sensor::{ColorNoise, DepthNoise, SensorConfig};
 use crate::trial::{PlacingGoal, SuccessConfig};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -85,43 +87,73 @@ pub struct CameraConfig {
     pub intrinsics: Intrinsics,
     /// Frames per second.
     pub rate: f64,
+    /// Imperfections of its depth image.
+    #[serde(default)]
+    pub depth: DepthNoise,
+    /// Imperfections of its colour image.
+    #[serde(default)]
+    pub color: ColorNoise,
 }
 
 impl CameraConfig {
+    /// Name of a field and what is wrong with it.
+    fn check(&self) -> Result<(), (&'static str, String)> {
+        let within = |field, value: f64, low: f64, high: f64| {
+            // A NaN is outside too.
+            if value >= low && value <= high {
+                Ok(())
+            } else {
+                Err((field, format!("is {value}, {low} to {high} is possible")))
+            }
+        };
+        let (k, d, c) = (&self.intrinsics, &self.depth, &self.color);
+        within("intrinsics.width", f64::from(k.width), 16.0, 8192.0)?;
+        within("intrinsics.height", f64::from(k.height), 16.0, 8192.0)?;
+        within("intrinsics.fx", k.fx, 1.0, 1e5)?;
+        within("intrinsics.fy", k.fy, 1.0, 1e5)?;
+        within("intrinsics.cx", k.cx, -1e5, 1e5)?;
+        within("intrinsics.cy", k.cy, -1e5, 1e5)?;
+        within("rate", self.rate, 0.1, 500.0)?;
+        for (i, v) in self.eye.iter().chain(&self.target).enumerate() {
+            within(if i < 3 { "eye" } else { "target" }, *v, -100.0, 100.0)?;
+        }
+        within("depth.baseline", d.baseline, 1e-3, 10.0)?;
+        within("depth.subpixel", d.subpixel, 0.0, 10.0)?;
+        within("depth.edge_step", d.edge_step, 0.0, 100.0)?;
+        within("depth.edge_reach", d.edge_reach as f64, 0.0, 50.0)?;
+        within("depth.lateral", d.lateral, 0.0, 50.0)?;
+        within("depth.grazing_begin", d.grazing_begin, 0.0, 1.0)?;
+        within("depth.grazing_end", d.grazing_end, 0.0, 1.0)?;
+        for (field, share) in [
+            ("depth.shared", d.shared),
+            ("depth.edge_loss", d.edge_loss),
+            ("depth.flying", d.flying),
+            ("depth.patch_loss", d.patch_loss),
+            ("color.vignette", c.vignette),
+            ("color.gain", c.gain),
+            ("color.balance", c.balance),
+            ("color.flicker", c.flicker),
+        ] {
+            within(field, share, 0.0, 1.0)?;
+        }
+        within("depth.range", d.range[0], 0.0, d.range[1])?;
+        within("color.blur", c.blur, 0.0, 0.33)?;
+        within("color.read", c.read, 0.0, 255.0)?;
+        within("color.shot", c.shot, 0.0, 255.0)
+    }
+
+    /// Intrinsics and imperfections.
+    pub fn sensor(&self) -> SensorConfig {
+        SensorConfig {
+            intrinsics: self.intrinsics,
+            depth: self.depth.clone(),
+            color: self.color.clone(),
+        }
+    }
+
     /// `T_base_link_camera_color_optical_frame`.
     pub fn pose(&self) -> Pose {
         look_at(&Point3::from(self.eye), &Point3::from(self.target))
-    }
-}
-
-/// The depth and colour noise of the camera.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct NoiseConfig {
-    /// Standard deviation of depth at 1 m, m; it grows with the square of depth.
-    pub depth_sigma: f64,
-    /// Share of the pixels at depth edges and grazing angles that have no reading, at least.
-    pub holes: f64,
-    /// Depth step at 1 m, m (a stereo camera's disparity step; grows with the square of depth).
-    pub quantisation: f64,
-    /// Standard deviation of colour, of 255.
-    pub color_sigma: f64,
-    /// The light's strength varies by this share.
-    pub light: f64,
-    /// Random things on the table that are no objects of the task.
-    pub distractors: usize,
-}
-
-impl Default for NoiseConfig {
-    fn default() -> Self {
-        Self {
-            depth_sigma: 0.0015,
-            holes: 0.05,
-            quantisation: 0.001,
-            color_sigma: 3.0,
-            light: 0.2,
-            distractors: 0,
-        }
     }
 }
 
@@ -193,9 +225,10 @@ pub struct Scene {
     pub robot: RobotConfig,
     /// The camera.
     pub camera: CameraConfig,
-    /// Its noise.
+    /// How many random things are seen on the table that are no objects of the task (at most 16); they
+    /// are beyond the arm's reach and not in the physics.
     #[serde(default)]
-    pub noise: NoiseConfig,
+    pub distractors: usize,
     /// What the robot does not know exactly.
     #[serde(default)]
     pub errors: KnowledgeErrors,
@@ -259,6 +292,12 @@ impl Scene {
         let bad = |field: String, reason: String| {
             Err(SimulationError::Value { path: self.path.clone(), field, reason })
         };
+        if let Err((field, reason)) = self.camera.check() {
+            return bad(format!("camera.{field}"), reason);
+        }
+        if self.distractors > MAX_DISTRACTORS {
+            return bad("distractors".into(), format!("is above {MAX_DISTRACTORS}"));
+        }
         for (i, o) in self.objects.iter().enumerate() {
             let field = format!("objects[{i}] ({})", o.name);
             let earlier = &self.objects[..i];

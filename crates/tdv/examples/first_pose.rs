@@ -8,7 +8,7 @@ use std::sync::Arc;
 use tdv_geometry::{Stamp, yaw_of};
 use tdv_perception::{ObjectModel, Perceiver, PerceiverConfig, RgbdFrame};
 use tdv_simulation::backdrop::{Backdrop, BackdropConfig};
-use tdv_simulation::sensor::{RgbdSensor, SceneItem, SensorConfig, SensorFrame};
+use tdv_simulation::sensor::{RgbdSensor, SceneItem, SensorFrame};
 use tdv_simulation::{Lab, LabAssets, Scene};
 
 fn main() -> anyhow::Result<()> {
@@ -34,10 +34,10 @@ fn main() -> anyhow::Result<()> {
             .collect::<anyhow::Result<Vec<_>>>()?;
         let config = PerceiverConfig { prompt: prompt.clone(), ..Default::default() };
         let mut perceiver = Perceiver::new(config, models);
-        let room = Backdrop::generate(&BackdropConfig::default(), seed);
-        let sensor =
-            SensorConfig { intrinsics: assets.scene.camera.intrinsics, ..SensorConfig::lab() };
-        let mut sensor = RgbdSensor::new(sensor, seed);
+        let distractors = assets.scene.distractors;
+        let room =
+            Backdrop::generate(&BackdropConfig { distractors, ..Default::default() }, seed);
+        let mut sensor = RgbdSensor::new(assets.scene.camera.sensor(), seed);
         let camera = assets.scene.camera.pose();
         let poses = lab.render_poses();
         let mut items: Vec<SceneItem> = room.items();

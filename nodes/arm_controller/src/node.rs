@@ -1,5 +1,6 @@
 use crate::inputs;
 use crate::params::ArmParameters;
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tdv_geometry::Stamp;
@@ -10,7 +11,7 @@ use tdv_msgs::std_srvs::srv::{Trigger, TriggerRequest, TriggerResponse};
 use tdv_msgs::tdv_msgs::msg::{ControllerStatus, PoseTrajectory, Procedure, TrackedObjects};
 use tdv_msgs::trajectory_msgs::msg::JointTrajectory;
 use tdv_robot::motion::{GripperFeedback, GripperRequest, ProcedureState, Requests};
-use tdv_robot::{ArmController, ControllerInput, ControllerOutput, Kinematics};
+use tdv_robot::{ArmController, ControllerInput, ControllerOutput, Kinematics, Limits};
 use tdv_runtime::{ActionClient, Level, Node, Params, Publisher, Qos, ServiceClient, tracked};
 use tokio::runtime::Handle;
 
@@ -40,7 +41,10 @@ fn with<T>(input: &SharedInput, f: impl FnOnce(&mut ControllerInput) -> T) -> T 
 
 /// The node's life.
 pub async fn control(node: Node, params: Params<ArmParameters>) -> anyhow::Result<()> {
-    let p = params.get();
+    let mut p = params.get();
+    if !p.limits_file.is_empty() {
+        p.control.limits = Limits::load(Path::new(&p.limits_file))?;
+    }
     let kinematics = if p.robot == "ur5e" { Kinematics::ur5e() } else { Kinematics::ur5() };
     let core = ArmController::new(kinematics, p.control.clone())
         .map_err(|problems| anyhow::anyhow!("{}", problems.join("; ")))?;

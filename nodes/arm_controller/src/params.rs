@@ -7,6 +7,7 @@ use tdv_runtime::Parameters;
 #[serde(default, deny_unknown_fields)]
 pub struct ArmParameters {
     pub robot: String,
+    pub limits_file: String,
     pub trajectory_controller: String,
     pub gripper_controller: String,
     pub require_program: bool,
@@ -18,6 +19,7 @@ impl Default for ArmParameters {
     fn default() -> Self {
         Self {
             robot: "ur5".into(),
+            limits_file: String::new(),
             trajectory_controller: "scaled_joint_trajectory_controller".into(),
             gripper_controller: "robotiq_gripper_controller".into(),
             require_program: true,
@@ -42,6 +44,9 @@ impl Parameters for ArmParameters {
     fn describe(name: &str) -> &'static str {
         match name {
             "robot" => "ur5 (CB3) or ur5e",
+            "limits_file" => {
+                "limits of the motion (config/robot/limits.yaml), instead of those under control"
+            }
             "trajectory_controller" => "controller that takes the joint trajectories",
             "gripper_controller" => "controller that offers the gripper action",
             "require_program" => "move only while robot_program_running is true",

@@ -10,6 +10,10 @@ use tdv_runtime::Node;
 use tdv_ur_protocol::rtde::{Client, ClientConfig, ClientEvent, Value};
 use tdv_ur_protocol::servo::{self, Command, ProgramState};
 
+/// Robot mode in which the arm moves.
+pub const RUNNING: i32 = 7;
+/// Safety modes in which it does: normal and reduced.
+const SAFE: [i32; 2] = [1, 2];
 /// Silence after which the connection counts as lost.
 const SILENCE: Duration = Duration::from_millis(200);
 
@@ -58,6 +62,16 @@ impl ArmState {
         };
         let finite = [state.q, state.qd, state.tcp_pose].iter().flatten().all(|v| v.is_finite());
         finite.then_some(state)
+    }
+
+    /// Whether a program is there that follows the targets.
+    pub fn has_program(&self) -> bool {
+        self.program_running && self.program != Some(ProgramState::NotRunning)
+    }
+
+    /// Whether the robot would follow a target now.
+    fn may_move(&self) -> bool {
+        self.has_program() && self.robot_mode == RUNNING && SAFE.contains(&self.safety_mode)
     }
 }
 
@@ -138,7 +152,7 @@ fn session(
         let Some(state) = ArmState::from_values(&values) else {
             bail!("the controller sends states that are not numbers");
         };
-        let (target, refusal) = match shared.target(node.now(), state.q) {
+        let (target, refusal) = match shared.target(node.now(), state.q, state.may_move()) {
             Ok(target) => (target, None),
             Err(why) => (None, Some(why)),
         };

@@ -53,7 +53,13 @@ pub fn run(
 ) {
     let mut pause = Duration::from_millis(250);
     while !node.shutdown().is_requested() {
-        if let Err(error) = session(node, address, moves, &mut report) {
+        let outcome = session(node, address, moves, &mut |event| {
+            if matches!(event, GripperEvent::Ready) {
+                pause = Duration::from_millis(250);
+            }
+            report(event);
+        });
+        if let Err(error) = outcome {
             report(GripperEvent::Lost(format!("gripper at {address}: {error:#}")));
         }
         if !node.shutdown().is_requested() {
@@ -140,6 +146,8 @@ fn session(
     socket.set_read_timeout(Some(Duration::from_millis(50)))?;
     let mut c = Connection { socket, lines: LineReader::default() };
     c.activate(node)?;
+    // What was ordered while nobody was there has been reported as aborted.
+    while moves.try_recv().is_ok() {}
     report(GripperEvent::Ready);
     let mut request = 0;
     while !node.shutdown().is_requested() {

@@ -1,4 +1,4 @@
-use crate::arm::{self, ArmEvent, ArmState};
+use crate::arm::{self, ArmEvent, ArmState, RUNNING};
 use crate::gripper::{self, GripperEvent, GripperState, Move};
 use crate::params::DriverParameters;
 use crate::state::Shared;
@@ -18,11 +18,7 @@ use tdv_robot::gripper::{
 use tdv_robot::{JOINT_NAMES, JointTrajectory, TrajectoryPoint};
 use tdv_runtime::{Goal, GoalEnd, Level, Node, Params, Publisher, Qos, tracked};
 use tdv_ur_protocol::gripper::ObjectStatus;
-use tdv_ur_protocol::servo::ProgramState;
 use tokio::sync::watch;
-
-/// Robot mode in which the arm can move.
-const RUNNING: i32 = 7;
 
 struct Outputs {
     node: Node,
@@ -40,7 +36,7 @@ struct Outputs {
 /// The node's life.
 pub async fn drive(node: Node, params: Params<DriverParameters>) -> anyhow::Result<()> {
     let p = params.get();
-    let shared = Arc::new(Shared::new(&p.limits));
+    let shared = Arc::new(Shared::new(&p.limits()?));
     let (knuckle_sender, knuckle) = watch::channel(None);
     let outputs = Outputs::new(&node, knuckle.clone())?;
     node.diagnostics().level(Level::Warn, format!("connecting to {}", p.robot_ip));
@@ -269,7 +265,7 @@ impl Outputs {
             pose: tracked::pose_message(&pose),
         });
         self.speed_scaling.publish(Float64 { data: 100.0 * s.speed_scaling });
-        let ready = s.program_running && s.program != Some(ProgramState::NotRunning);
+        let ready = s.has_program();
         self.modes(s.robot_mode, s.safety_mode, ready);
         let level = if s.robot_mode == RUNNING && ready { Level::Ok } else { Level::Warn };
         let program = s.program.map_or("unknown".into(), |p| format!("{p:?}"));

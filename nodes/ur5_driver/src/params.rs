@@ -1,6 +1,7 @@
 use serde::{Deserialize, Serialize};
 use std::net::{IpAddr, SocketAddr};
-use tdv_robot::Limits;
+use std::path::Path;
+use tdv_robot::{Limits, LimitsError};
 use tdv_runtime::Parameters;
 use tdv_ur_protocol::{GRIPPER_PORT, RTDE_PORT};
 
@@ -16,7 +17,7 @@ pub struct DriverParameters {
     pub gripper_controller_name: String,
     pub gripper_speed: i64,
     pub gripper_force: i64,
-    pub limits: Limits,
+    pub limits_file: String,
 }
 
 impl Default for DriverParameters {
@@ -30,12 +31,18 @@ impl Default for DriverParameters {
             gripper_controller_name: "robotiq_gripper_controller".into(),
             gripper_speed: 128,
             gripper_force: 60,
-            limits: Limits::default(),
+            limits_file: String::new(),
         }
     }
 }
 
 impl DriverParameters {
+    /// Limits of the file, or the built-in ones.
+    pub fn limits(&self) -> Result<Limits, LimitsError> {
+        let file = self.limits_file.as_str();
+        if file.is_empty() { Ok(Limits::default()) } else { Limits::load(Path::new(file)) }
+    }
+
     /// Address of a port of the robot; the parameters have been validated.
     pub fn address(&self, port: u16) -> SocketAddr {
         SocketAddr::new(self.robot_ip.parse().unwrap_or(IpAddr::from([127, 0, 0, 1])), port)
@@ -58,8 +65,6 @@ impl Parameters for DriverParameters {
                 problems.push(format!("'{name}' is {value}: 0 to 255"));
             }
         }
-        let limits = self.limits.validate().err().unwrap_or_default();
-        problems.extend(limits.into_iter().map(|e| format!("'limits': {e}")));
         problems
     }
 
@@ -69,6 +74,7 @@ impl Parameters for DriverParameters {
             "frequency" => "RTDE packages per second: 125 for CB3, 500 for e-Series",
             "controller_name" => "name under which joint trajectories are taken",
             "gripper_controller_name" => "name of the gripper's action controller",
+            "limits_file" => "limits of the motion (config/robot/limits.yaml); '' for the built-in ones",
             "gripper_speed" => "finger speed, 0..255 of 20..150 mm/s",
             "gripper_force" => "grip force, 0..255 of 20..235 N",
             _ => "",

@@ -52,10 +52,21 @@ impl Shared {
         Ok(())
     }
 
-    /// The joint target for now, or why there is none.
-    pub fn target(&self, now: Stamp, measured: Joints) -> Result<Option<Joints>, String> {
+    /// The joint target for now, or why there is none. While the robot `may_move` not (stopped, paused,
+    /// no program) what was commanded is forgotten: it must not come back when the robot may again.
+    pub fn target(
+        &self,
+        now: Stamp,
+        measured: Joints,
+        may_move: bool,
+    ) -> Result<Option<Joints>, String> {
         let mut c = self.lock();
         c.measured = Some(measured);
+        if !may_move {
+            c.executor.clear();
+            c.guard.reset();
+            return Ok(None);
+        }
         if let Some(fault) = &c.fault {
             return Err(fault.clone());
         }
@@ -72,7 +83,7 @@ impl Shared {
         }
     }
 
-    /// The connection or the program was lost: the next motion starts from the measured state.
+    /// The connection was lost: the next motion starts from the measured state.
     pub fn forget(&self) {
         let mut c = self.lock();
         c.executor.clear();
@@ -104,17 +115,21 @@ mod tests {
         let shared = Shared::new(&Limits::default());
         let t = Stamp::from_secs(1.0);
         assert!(shared.accept(&to(0.05), t).is_err());
-        assert_eq!(shared.target(t, [0.0; 6]), Ok(None));
+        assert_eq!(shared.target(t, [0.0; 6], true), Ok(None));
         shared.accept(&to(0.05), t).unwrap();
-        assert!(shared.target(t.plus(0.1), [0.0; 6]).unwrap().is_some());
+        assert!(shared.target(t.plus(0.1), [0.0; 6], true).unwrap().is_some());
         // 2 rad in 0.2 s is faster than any limit: refused, and it stays refused until told anew.
         shared.accept(&to(2.0), t.plus(0.1)).unwrap();
         assert!(
-            (0..30).any(|i| shared.target(t.plus(0.1 + 0.008 * f64::from(i)), [0.0; 6]).is_err())
+            (0..30)
+                .any(|i| shared.target(t.plus(0.1 + 0.008 * f64::from(i)), [0.0; 6], true).is_err())
         );
-        assert!(shared.target(t.plus(1.0), [0.0; 6]).is_err());
+        assert!(shared.target(t.plus(1.0), [0.0; 6], true).is_err());
         shared.accept(&to(0.01), t.plus(1.0)).unwrap();
-        assert!(shared.target(t.plus(1.01), [0.0; 6]).is_ok());
+        assert!(shared.target(t.plus(1.01), [0.0; 6], true).unwrap().is_some());
+        // A stop forgets the target for good.
+        assert_eq!(shared.target(t.plus(1.02), [0.0; 6], false), Ok(None));
+        assert_eq!(shared.target(t.plus(1.03), [0.0; 6], true), Ok(None));
         shared.forget();
         assert!(shared.accept(&to(0.0), t.plus(2.0)).is_err());
     }

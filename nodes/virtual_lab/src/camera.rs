@@ -7,7 +7,7 @@ use tdv_runtime::{Node, Publisher, Qos, convert};
 use tdv_simulation::LabAssets;
 use tdv_simulation::backdrop::{Backdrop, BackdropConfig};
 use tdv_simulation::scene::Knowledge;
-use tdv_simulation::sensor::{RgbdSensor, SceneItem, SensorConfig, SensorFrame};
+use tdv_simulation::sensor::{RgbdSensor, SceneItem, SensorFrame};
 
 /// Frame of the images.
 pub const FRAME: &str = "camera_color_optical_frame";
@@ -40,11 +40,11 @@ impl Camera {
         knowledge: &Knowledge,
         seed: u64,
     ) -> anyhow::Result<Self> {
-        let config =
-            SensorConfig { intrinsics: assets.scene.camera.intrinsics, ..SensorConfig::lab() };
         let qos = Qos::reliable(2);
-        let backdrop = Backdrop::generate(&BackdropConfig::default(), seed);
-        let mut sensor = RgbdSensor::new(config, seed);
+        let distractors = assets.scene.distractors;
+        let config = BackdropConfig { distractors, ..BackdropConfig::default() };
+        let backdrop = Backdrop::generate(&config, seed);
+        let mut sensor = RgbdSensor::new(assets.scene.camera.sensor(), seed);
         sensor.keep_still(backdrop.items().len());
         Ok(Self {
             backdrop,

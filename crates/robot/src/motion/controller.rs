@@ -125,7 +125,11 @@ impl ArmController {
         self.ticks += 1;
         self.reset_switch = false;
         self.gripper_request = None;
-        if let Some(p) = input.procedure {
+        // A switch policy that was started again begins with the first procedure until it has read here
+        // that something is held: nothing is dropped for that.
+        if let Some(p) = input.procedure
+            && !(self.held && p.procedure < self.params.grasp_procedure)
+        {
             self.procedure = p.procedure;
         }
         if let Some(c) = &mut self.commanded {
@@ -215,12 +219,18 @@ impl ArmController {
             self.hold(now, Cause::Paused, "paused: call ~/resume to go on".into());
         }
         if r.reset {
-            self.hold = None;
             self.follower.clear();
             self.refused = None;
             self.held = false;
             self.note = String::new();
             self.phase = Phase::reset();
+            // Through a hold, so that the motion begins from where the arm is.
+            self.held_since = now;
+            self.hold = Some(if self.params.auto_resume {
+                Hold { cause: Cause::Joints, sentence: "reset".into() }
+            } else {
+                Hold { cause: Cause::Ready, sentence: "reset: call ~/resume to start".into() }
+            });
         }
         if r.home && !self.held && self.hold.is_none() {
             self.phase = Phase::Homing { script: None };
@@ -305,9 +315,10 @@ impl ArmController {
         let Some(h) = &self.hold else { return };
         let asked = input.requests.resume && h.cause != Cause::Aborted;
         let fresh = || {
-            input.plan.as_ref().is_some_and(|p| {
-                p.procedure == self.procedure && now.since(p.stamp) <= self.params.stale_after
-            }) && input.procedure.is_some_and(|p| now.since(p.stamp) <= self.params.stale_after)
+            let recent = |stamp: Stamp| now.since(stamp) <= self.params.stale_after;
+            let here = |procedure: u32| procedure == self.procedure;
+            input.plan.as_ref().is_some_and(|p| here(p.procedure) && recent(p.stamp))
+                && input.procedure.is_some_and(|p| here(p.procedure) && recent(p.stamp))
         };
         let by_itself = self.params.auto_resume
             && h.cause.ends_by_itself()

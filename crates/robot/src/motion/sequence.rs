@@ -173,14 +173,17 @@ impl ArmController {
             self.phase = if self.held { Phase::Dwell { since: now } } else { Phase::Done };
             return Motion::Rest;
         }
-        let object = self.procedure >= self.params.grasp_procedure;
-        if object != self.held {
+        if procedure.procedure != self.procedure {
+            let text = format!(
+                "the switch policy is at procedure {} while an object is held",
+                procedure.procedure
+            );
+            self.hold(now, Cause::Stale, text);
+            return Motion::Rest;
+        }
+        if self.procedure >= self.params.grasp_procedure && !self.held {
             self.follower.clear();
-            if object {
-                self.phase = Phase::Close { sent: None };
-            } else {
-                self.recover("the switch policy went back to an earlier procedure".into());
-            }
+            self.phase = Phase::Close { sent: None };
             return Motion::Rest;
         }
         if let Some(plan) = input.plan.as_ref().filter(|p| p.procedure == self.procedure) {
