@@ -10,7 +10,7 @@ mod writer;
 pub use metadata::Durability;
 pub use reader::{BagMessage, BagReader, TopicInfo};
 pub use schedule::{ReplayConfig, ReplaySchedule};
-pub use writer::{BagWriter, Topic, TopicId};
+pub use writer::{BagWriter, Topic, TopicId, remove_bag};
 
 use std::path::PathBuf;
 use thiserror::Error;

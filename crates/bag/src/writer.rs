@@ -2,7 +2,7 @@ use crate::metadata::{TopicSummary, metadata_yaml, qos_text};
 use crate::{BagError, Durability};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
-use std::io::BufWriter;
+use std::io::{BufWriter, ErrorKind};
 use std::path::{Path, PathBuf};
 use tdv_geometry::Stamp;
 
@@ -41,6 +41,31 @@ pub struct BagWriter {
     span: Option<(u64, u64)>,
 }
 
+fn name_of(target: &Path) -> String {
+    target.file_name().map_or_else(|| "bag".into(), |n| n.to_string_lossy().into_owned())
+}
+
+/// What the bag `target` is called until it is whole.
+fn partial_of(target: &Path) -> PathBuf {
+    target.with_file_name(format!("{}.partial", name_of(target)))
+}
+
+/// Removes the bag folder `target` and what an interrupted [`BagWriter`] left of it, if they are there.
+///
+/// # Errors
+/// [`BagError::Io`].
+pub fn remove_bag(target: &Path) -> Result<(), BagError> {
+    for path in [target.to_owned(), partial_of(target)] {
+        match fs::remove_dir_all(&path) {
+            Err(source) if source.kind() != ErrorKind::NotFound => {
+                return Err(BagError::Io { path, source });
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
 impl BagWriter {
     /// Starts a bag at `target` (a folder that does not exist yet).
     ///
@@ -50,9 +75,7 @@ impl BagWriter {
         if target.exists() {
             return Err(BagError::Exists(target.to_owned()));
         }
-        let name =
-            target.file_name().map_or_else(|| "bag".into(), |n| n.to_string_lossy().into_owned());
-        let partial = target.with_file_name(format!("{name}.partial"));
+        let (name, partial) = (name_of(target), partial_of(target));
         let io = |source| BagError::Io { path: partial.clone(), source };
         if partial.exists() {
             return Err(BagError::Exists(partial));
@@ -158,5 +181,25 @@ impl BagWriter {
         file.sync_all().map_err(io)?;
         fs::rename(&self.partial, &self.target).map_err(io)?;
         Ok(self.target)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_new_bag_can_take_the_place_of_a_removed_one() {
+        let dir = tempfile::tempdir().unwrap();
+        let target = dir.path().join("run.1");
+        remove_bag(&target).unwrap();
+        drop(BagWriter::create(&target).unwrap());
+        assert!(matches!(BagWriter::create(&target), Err(BagError::Exists(_))));
+        remove_bag(&target).unwrap();
+        BagWriter::create(&target).unwrap().finish().unwrap();
+        drop(BagWriter::create(&dir.path().join("run.10")).unwrap());
+        remove_bag(&target).unwrap();
+        let left: Vec<_> = fs::read_dir(&dir).unwrap().map(|e| e.unwrap().file_name()).collect();
+        assert_eq!(left, ["run.10.partial"], "only the bag itself goes");
     }
 }

@@ -2,6 +2,10 @@ use std::collections::VecDeque;
 use tdv_geometry::{Pose, Stamp, interpolate};
 use thiserror::Error;
 
+/// Stamps that step back farther (s) belong to another stream: a recording that starts over, or one wrong
+/// stamp from the future before them.
+pub(crate) const STEP_BACK: f64 = 0.5;
+
 /// Settings of a [`HistoryBuffer`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HistoryConfig {
@@ -28,7 +32,7 @@ pub enum HistoryError {
         /// Its stamp.
         stamp: Stamp,
     },
-    /// Not later than the last one.
+    /// Not later than the last one, yet too near to it for a stream that starts over.
     #[error("a pose {late:.3} s older than the newest came in; it was left out of the history")]
     OutOfOrder {
         /// By how much (s), zero for equal stamps.
@@ -53,9 +57,10 @@ pub enum Pushed {
     Continued,
     /// It is the first one.
     Started,
-    /// The silence before it was too long: what was known is forgotten and it is the first one.
+    /// The silence before it was too long, or its stamp is more than half a second older than the newest:
+    /// what was known is forgotten and it is the first one.
     Restarted {
-        /// The silence (s).
+        /// The silence (s); negative when the stamps stepped back.
         gap: f64,
     },
 }
@@ -94,11 +99,10 @@ impl HistoryBuffer {
             None => Pushed::Started,
             Some((last, _)) => {
                 let gap = stamp.since(*last);
-                if gap <= 0.0 {
-                    return Err(HistoryError::OutOfOrder { late: -gap });
-                }
-                if gap > self.config.max_gap {
+                if gap > self.config.max_gap || gap < -STEP_BACK {
                     Pushed::Restarted { gap }
+                } else if gap <= 0.0 {
+                    return Err(HistoryError::OutOfOrder { late: -gap });
                 } else {
                     Pushed::Continued
                 }
@@ -181,7 +185,8 @@ mod tests {
             assert!((p.translation.x - (last - (7 - j) as f64 * 0.05)).abs() < 1e-7);
         }
         let before = b.poses();
-        assert!(matches!(b.push(t0, &at(5.0)), Err(HistoryError::OutOfOrder { .. })));
+        let late = t0.plus(last - 0.4);
+        assert!(matches!(b.push(late, &at(5.0)), Err(HistoryError::OutOfOrder { .. })));
         let same = b.stamp().unwrap();
         assert_eq!(b.push(same, &at(5.0)), Err(HistoryError::OutOfOrder { late: 0.0 }));
         assert!(matches!(b.push(t0.plus(1.0), &at(f64::NAN)), Err(HistoryError::NotFinite { .. })));
@@ -193,6 +198,19 @@ mod tests {
         b.reset();
         assert_eq!(b.stamp(), None);
         assert!(HistoryBuffer::new(HistoryConfig { length: 0, ..Default::default() }).is_err());
+    }
+
+    #[test]
+    fn one_stamp_from_the_future_or_a_second_showing_starts_anew() {
+        let mut b = HistoryBuffer::new(HistoryConfig::default()).unwrap();
+        let t0 = Stamp::from_secs(1e9);
+        b.push(t0, &at(0.0)).unwrap();
+        b.push(t0.plus(100.0), &at(9.0)).unwrap();
+        assert!(
+            matches!(b.push(t0.plus(0.1), &at(0.1)), Ok(Pushed::Restarted { gap }) if gap < -99.0)
+        );
+        assert_eq!(b.poses().unwrap(), vec![at(0.1); 8], "nothing of the future is left");
+        assert_eq!(b.push(t0.plus(0.2), &at(0.2)), Ok(Pushed::Continued));
     }
 
     proptest! {

@@ -16,7 +16,7 @@ use tdv_msgs::tdv_msgs::msg::PoseTrajectory;
 use tdv_msgs::tf2_msgs::msg::TFMessage;
 use tdv_msgs::vision_msgs::msg::{Detection3D, Detection3DArray};
 use tdv_rendering::{DepthImage, RgbImage};
-use tdv_runtime::{Goal, GoalEnd, Level, Node, Parameters, Params, Qos, convert};
+use tdv_runtime::{Goal, GoalEnd, Level, Node, Parameters, Params, Qos, convert, tracked};
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -75,7 +75,7 @@ async fn body(node: Node, params: Params<PeerParameters>) -> anyhow::Result<()> 
     let tf_static = node.publisher::<TFMessage>("/tf_static", Qos::latched())?;
     let pose = pose_from_xyz_rpy([0.95, 0.0, 0.7], [0.0, 0.0, 1.0]);
     tf_static.publish(TFMessage {
-        transforms: vec![convert::transform_stamped(node.now(), "base_link", "camera", &pose)],
+        transforms: vec![tracked::transform("base_link", "camera", node.now(), &pose)],
     });
 
     let echo = node.publisher::<Text>("~/echo", Qos::reliable(32))?;

@@ -14,7 +14,8 @@ struct Shared<M> {
 }
 
 struct State<M> {
-    queue: VecDeque<M>,
+    /// With the time of receipt.
+    queue: VecDeque<(Instant, M)>,
     dropped: u64,
     closed: bool,
 }
@@ -57,7 +58,7 @@ impl<M> Sender<M> {
             state.queue.pop_front();
             state.dropped += 1;
         }
-        state.queue.push_back(message);
+        state.queue.push_back((Instant::now(), message));
         drop(state);
         self.shared.async_waiters.notify_one();
         self.shared.thread_waiters.notify_one();
@@ -79,7 +80,7 @@ impl<M> Inbox<M> {
         loop {
             {
                 let mut state = self.shared.lock();
-                if let Some(message) = state.queue.pop_front() {
+                if let Some((_, message)) = state.queue.pop_front() {
                     return Some(message);
                 }
                 if state.closed {
@@ -97,7 +98,7 @@ impl<M> Inbox<M> {
         let end = Instant::now() + timeout;
         let mut state = self.shared.lock();
         loop {
-            if let Some(message) = state.queue.pop_front() {
+            if let Some((_, message)) = state.queue.pop_front() {
                 return Some(message);
             }
             let left = end.saturating_duration_since(Instant::now());
@@ -113,7 +114,14 @@ impl<M> Inbox<M> {
 
     /// The next message if there is one.
     pub fn try_recv(&mut self) -> Option<M> {
-        self.shared.lock().queue.pop_front()
+        self.shared.lock().queue.pop_front().map(|(_, message)| message)
+    }
+
+    /// The oldest messages, at most `count`, each with the time at which it was put in.
+    pub fn take(&mut self, count: usize) -> Vec<(Instant, M)> {
+        let mut state = self.shared.lock();
+        let count = count.min(state.queue.len());
+        state.queue.drain(..count).collect()
     }
 
     /// The newest message if there is one; older ones are dropped and counted.
@@ -122,7 +130,7 @@ impl<M> Inbox<M> {
         let newest = state.queue.pop_back();
         state.dropped += state.queue.len() as u64;
         state.queue.clear();
-        newest
+        newest.map(|(_, message)| message)
     }
 
     /// Messages pushed out unread so far.
@@ -157,6 +165,21 @@ mod tests {
         drop(sender);
         assert_eq!(inbox.recv().await, Some(6));
         assert_eq!(inbox.recv().await, None);
+    }
+
+    #[test]
+    fn messages_are_taken_with_the_time_of_their_receipt() {
+        let (sender, mut inbox) = inbox(8);
+        let began = Instant::now();
+        sender.send(1);
+        let between = Instant::now();
+        sender.send(2);
+        sender.send(3);
+        let taken = inbox.take(2);
+        assert!(began <= taken[0].0 && taken[0].0 <= between && between <= taken[1].0);
+        assert_eq!((taken.len(), taken[0].1, taken[1].1), (2, 1, 2));
+        assert_eq!(inbox.take(9).len(), 1);
+        assert_eq!(inbox.dropped(), 0);
     }
 
     #[tokio::test]

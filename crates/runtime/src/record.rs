@@ -4,7 +4,7 @@ use crate::graph::GraphObserver;
 use crate::{Inbox, Node, Qos, RuntimeError};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tdv_bag::{BagError, BagWriter, Durability, Topic, TopicId};
 use tdv_geometry::Stamp;
 use tdv_msgs::{CdrError, RawMessage, RosMessage, schema_of, to_cdr_bytes};
@@ -42,6 +42,45 @@ const LATCHED: [&str; 7] = [
 /// Messages of one topic that wait to be written.
 const WAITING: usize = 256;
 
+/// Messages of one topic that are written in one go: where they come faster than they can be written,
+/// [`Recorder::drain`] must end all the same.
+const AT_ONCE: usize = 32;
+
+type Inputs = BTreeMap<String, (TopicId, Inbox<RawMessage>)>;
+
+/// A finished recording.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Recording {
+    /// The bag.
+    pub path: PathBuf,
+    /// Messages that came faster than they could be written and are not in the bag, by topic; topics
+    /// without such messages are left out. What the middleware itself lost on the way is not known here.
+    pub dropped: BTreeMap<String, u64>,
+}
+
+/// Takes up to `count` messages of each topic, stamped with their receipt; `now` is the same moment by
+/// both clocks. All topics are emptied before anything is written, which takes time in which others come.
+fn take(
+    inputs: &mut Inputs,
+    count: usize,
+    now: (Instant, Stamp),
+) -> Vec<(TopicId, Stamp, RawMessage)> {
+    let mut out = Vec::new();
+    for (id, inbox) in inputs.values_mut() {
+        for (at, message) in inbox.take(count) {
+            let before = now.0.saturating_duration_since(at).as_secs_f64();
+            let after = at.saturating_duration_since(now.0).as_secs_f64();
+            out.push((*id, now.1.plus(after - before), message));
+        }
+    }
+    out
+}
+
+fn dropped(inputs: &Inputs) -> BTreeMap<String, u64> {
+    let counts = inputs.iter().map(|(name, (_, inbox))| (name.clone(), inbox.dropped()));
+    counts.filter(|(_, count)| *count > 0).collect()
+}
+
 /// Subscribes topics as they appear and writes what comes.
 pub struct Recorder {
     node: Node,
@@ -50,7 +89,7 @@ pub struct Recorder {
     wanted: Option<Vec<String>>,
     unwanted: Vec<String>,
     observer: GraphObserver,
-    inputs: BTreeMap<String, (TopicId, Inbox<RawMessage>)>,
+    inputs: Inputs,
     own: BTreeMap<String, TopicId>,
     unknown: Vec<String>,
 }
@@ -125,22 +164,23 @@ impl Recorder {
         Ok(())
     }
 
-    /// Writes what has come since the last call, a few messages of each topic: where they come faster
-    /// than they can be written, this must end all the same.
+    /// Writes what has come since the last call, as far as it is not more than a few messages of each
+    /// topic.
     ///
     /// # Errors
     /// [`RecordError::Bag`].
     pub fn drain(&mut self) -> Result<(), RecordError> {
-        self.drain_up_to(8)
+        let taken = self.take(AT_ONCE);
+        self.write_taken(taken)
     }
 
-    fn drain_up_to(&mut self, count: usize) -> Result<(), RecordError> {
-        let now = self.node.now();
-        for (id, inbox) in self.inputs.values_mut() {
-            for _ in 0..count {
-                let Some(message) = inbox.try_recv() else { break };
-                self.writer.write(*id, now, now, &message.to_bag())?;
-            }
+    fn take(&mut self, count: usize) -> Vec<(TopicId, Stamp, RawMessage)> {
+        take(&mut self.inputs, count, (Instant::now(), self.node.now()))
+    }
+
+    fn write_taken(&mut self, taken: Vec<(TopicId, Stamp, RawMessage)>) -> Result<(), RecordError> {
+        for (id, stamp, message) in taken {
+            self.writer.write(id, stamp, stamp, &message.to_bag())?;
         }
         Ok(())
     }
@@ -190,7 +230,7 @@ impl Recorder {
     ///
     /// # Errors
     /// [`RecordError`].
-    pub async fn run(mut self, mut end: impl FnMut() -> bool) -> Result<PathBuf, RecordError> {
+    pub async fn run(mut self, mut end: impl FnMut() -> bool) -> Result<Recording, RecordError> {
         let mut round = 0_u32;
         while !end() {
             if round % 100 == 0 {
@@ -203,17 +243,63 @@ impl Recorder {
         self.finish()
     }
 
-    /// Writes what is left and ends the bag.
+    /// Writes all that waits at this moment and ends the bag.
     ///
     /// # Errors
     /// [`RecordError::Bag`].
-    pub fn finish(mut self) -> Result<PathBuf, RecordError> {
-        self.drain_up_to(32)?;
-        Ok(self.writer.finish()?)
+    pub fn finish(mut self) -> Result<Recording, RecordError> {
+        let taken = self.take(WAITING);
+        let dropped = dropped(&self.inputs);
+        self.write_taken(taken)?;
+        for (topic, count) in &dropped {
+            tracing::warn!("{topic}: {count} messages came too fast and are not in the bag");
+        }
+        Ok(Recording { path: self.writer.finish()?, dropped })
     }
 
     /// Messages so far.
     pub fn message_count(&self) -> u64 {
         self.writer.message_count()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::inbox;
+
+    #[test]
+    fn everything_that_waits_is_taken_in_its_order_and_losses_are_counted() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut writer = BagWriter::create(&dir.path().join("bag")).unwrap();
+        let (mut inputs, mut senders) = (Inputs::new(), Vec::new());
+        for name in ["/a", "/b"] {
+            let topic = Topic {
+                name: name.into(),
+                type_name: "std_msgs/msg/Empty".into(),
+                schema: String::new(),
+                durability: Durability::Volatile,
+            };
+            let (sender, receiver) = inbox(WAITING);
+            inputs.insert(name.into(), (writer.add_topic(topic).unwrap(), receiver));
+            senders.push(sender);
+        }
+        let before = Instant::now();
+        senders[1].send(RawMessage::from_bag(&[0, 1, 0, 0, 7]).unwrap());
+        std::thread::sleep(Duration::from_millis(2));
+        for _ in 0..WAITING + 3 {
+            senders[0].send(RawMessage::from_bag(&[0, 1, 0, 0, 8]).unwrap());
+        }
+        let now = Stamp::from_secs(1000.0);
+        let taken = take(&mut inputs, WAITING, (before, now));
+        assert_eq!(taken.len(), WAITING + 1);
+        let (b, a) = (taken[WAITING].1, taken[0].1);
+        assert!(now <= b && a.since(b) >= 0.002, "/b came before /a: {b:?} {a:?}");
+        assert_eq!(dropped(&inputs), BTreeMap::from([("/a".to_owned(), 3)]));
+        assert!(take(&mut inputs, WAITING, (before, now)).is_empty());
+        // Most messages were received before the clocks are read.
+        senders[1].send(RawMessage::from_bag(&[0, 1, 0, 0, 9]).unwrap());
+        let later = Instant::now() + Duration::from_secs(1);
+        assert!(take(&mut inputs, 1, (later, now))[0].1.since(now) <= -1.0);
     }
 }

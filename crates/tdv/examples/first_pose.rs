@@ -35,8 +35,7 @@ fn main() -> anyhow::Result<()> {
         let config = PerceiverConfig { prompt: prompt.clone(), ..Default::default() };
         let mut perceiver = Perceiver::new(config, models);
         let distractors = assets.scene.distractors;
-        let room =
-            Backdrop::generate(&BackdropConfig { distractors, ..Default::default() }, seed);
+        let room = Backdrop::generate(&BackdropConfig { distractors, ..Default::default() }, seed);
         let mut sensor = RgbdSensor::new(assets.scene.camera.sensor(), seed);
         let camera = assets.scene.camera.pose();
         let poses = lab.render_poses();

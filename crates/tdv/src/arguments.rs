@@ -103,7 +103,7 @@ pub struct RecordArgs {
     pub output: PathBuf,
     /// Topics; none: all that are published
     pub topics: Vec<String>,
-    /// End after this many seconds instead of at Ctrl-C
+    /// End after this many seconds instead of at Ctrl-C or SIGTERM
     #[arg(long)]
     pub duration: Option<f64>,
 }
@@ -138,7 +138,7 @@ pub struct ClosedLoopArgs {
     #[arg(long)]
     pub task: PathBuf,
     /// Trials; each has its own seed, start pose, noise and light
-    #[arg(long, default_value_t = 20)]
+    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..))]
     pub trials: u64,
     /// First seed
     #[arg(long, default_value_t = 1)]
@@ -171,6 +171,9 @@ pub struct ClosedLoopArgs {
     /// each trial
     #[arg(long)]
     pub kill: Option<String>,
+    /// Kill it while the arm carries the object, not on the way to it
+    #[arg(long, requires = "kill")]
+    pub kill_carrying: bool,
     /// Launch file
     #[arg(long, default_value = "launch_scripts/closed_loop.launch.yaml")]
     pub launch_file: PathBuf,

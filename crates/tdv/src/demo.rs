@@ -27,6 +27,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<bool> {
         open_loop: false,
         grasp_offset: 0.0,
         kill: None,
+        kill_carrying: false,
         launch_file: "launch_scripts/closed_loop.launch.yaml".into(),
         run: args.run.clone(),
         pictures: true,

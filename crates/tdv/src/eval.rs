@@ -6,7 +6,8 @@ use std::path::Path;
 use tdv_demonstration::{Demonstration, Task};
 use tdv_evaluation::{ClosedLoopReport, Fault, Trial};
 use tdv_geometry::yaw_of;
-use tdv_runtime::trial::{TrialOutcome, TrialSetup, run_trial};
+use tdv_runtime::record::Recording;
+use tdv_runtime::trial::{TrialOutcome, TrialSetup, run_trial, shutdown_on_signals};
 use tdv_simulation::Scene;
 
 /// Seconds of the clock that a trial may take: the task's limit and the start of eight processes.
@@ -36,13 +37,14 @@ pub fn closed_loop(args: &ClosedLoopArgs) -> anyhow::Result<bool> {
         .context("teach first: `tdv teach` makes the model folder")?;
     let scene = Scene::load(Path::new(&task.scene))?;
     std::fs::create_dir_all(&args.run).with_context(|| args.run.display().to_string())?;
+    let shutdown = shutdown_on_signals()?;
     let (mut trials, mut latency, mut cpu) = (Vec::new(), BTreeMap::new(), BTreeMap::new());
     for seed in args.seed..args.seed + args.trials {
         let setup = setup(args, &task, &scene, &demonstration, &model, seed);
-        if let Some(old) = setup.bag.as_ref().filter(|b| b.exists()) {
-            std::fs::remove_dir_all(old).with_context(|| old.display().to_string())?;
+        if let Some(old) = &setup.bag {
+            tdv_bag::remove_bag(old)?;
         }
-        let outcome = run_trial(&setup)?;
+        let outcome = run_trial(&setup, &shutdown).with_context(|| format!("trial {seed}"))?;
         let trial = trial(&task, seed, &outcome);
         println!(
             "trial {seed}: {} ({:.1} s) {}",
@@ -70,7 +72,8 @@ pub fn closed_loop(args: &ClosedLoopArgs) -> anyhow::Result<bool> {
             println!("    picture: {}", path.display());
         }
         if let Some(bag) = &outcome.bag {
-            println!("    bag: {}", bag.display());
+            println!("    bag: {}", bag.path.display());
+            tell_dropped(bag);
         }
         for (stage, samples) in outcome.latency_ms {
             latency.entry(stage).or_insert_with(Vec::new).extend(samples);
@@ -89,7 +92,18 @@ pub fn closed_loop(args: &ClosedLoopArgs) -> anyhow::Result<bool> {
     Ok(report.summary.successes == report.summary.trials)
 }
 
+/// Says what a bag does not have.
+pub fn tell_dropped(recording: &Recording) {
+    for (topic, count) in &recording.dropped {
+        eprintln!("tdv: {topic}: {count} messages came too fast and are not in the bag");
+    }
+}
+
 fn condition(args: &ClosedLoopArgs) -> String {
+    let killed = args.kill.as_deref().map(|name| match name {
+        "each" => "one node killed, another in each trial".to_owned(),
+        _ => format!("{name} killed"),
+    });
     let mut parts = Vec::new();
     for (on, name) in [
         (args.disturb, "displaced in mid-run"),
@@ -101,6 +115,10 @@ fn condition(args: &ClosedLoopArgs) -> String {
         if on {
             parts.push(name);
         }
+    }
+    parts.extend(killed.as_deref());
+    if args.kill_carrying {
+        parts.push("while carrying");
     }
     if parts.is_empty() { "plain".into() } else { parts.join(", ") }
 }
@@ -148,6 +166,7 @@ fn setup(
         domain: 60 + (seed % 40) as u16,
         patience: PATIENCE,
         pictures: args.pictures,
+        kill_carrying: args.kill_carrying,
         kill: args.kill.as_ref().map(|name| match name.as_str() {
             "each" => NODES[(seed - args.seed) as usize % NODES.len()].to_owned(),
             _ => name.clone(),
@@ -208,4 +227,38 @@ pub fn write_json(path: &Path, report: &impl serde::Serialize) -> anyhow::Result
     std::fs::write(&partial, serde_json::to_string_pretty(report)?)
         .with_context(|| partial.display().to_string())?;
     std::fs::rename(&partial, path).with_context(|| path.display().to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::arguments::{Arguments, Command, EvalCommand};
+    use clap::Parser as _;
+
+    fn parse(more: &[&str]) -> Result<ClosedLoopArgs, clap::Error> {
+        let words = ["tdv", "eval", "closed-loop", "--task", "t.yaml", "--live"];
+        let parsed = Arguments::try_parse_from(words.iter().chain(more))?;
+        match parsed.command {
+            Command::Eval(EvalCommand::ClosedLoop(args)) => Ok(args),
+            _ => unreachable!("the words say closed-loop"),
+        }
+    }
+
+    #[test]
+    fn the_condition_names_all_that_was_done() {
+        let condition = |more: &[&str]| condition(&parse(more).unwrap());
+        assert_eq!(condition(&[]), "plain");
+        assert_eq!(condition(&["--kill", "ur5_driver"]), "ur5_driver killed");
+        assert_eq!(
+            condition(&["--disturb", "--kill", "each", "--kill-carrying"]),
+            "displaced in mid-run, one node killed, another in each trial, while carrying"
+        );
+    }
+
+    #[test]
+    fn no_trials_are_a_usage_mistake() {
+        let error = parse(&["--trials", "0"]).err().unwrap();
+        assert_eq!(error.exit_code(), 2);
+        assert_eq!(parse(&["--trials", "1"]).unwrap().trials, 1);
+    }
 }

@@ -13,7 +13,7 @@ use tdv_perception::visp::{self, Sequence};
 use tdv_perception::{Perceiver, PerceiverConfig};
 use tdv_runtime::camera_bag::CameraBagWriter;
 use tdv_runtime::tracked;
-use tdv_runtime::trial::{TrialSetup, run_replay};
+use tdv_runtime::trial::{TrialSetup, run_replay, shutdown_on_signals};
 
 /// Quality of the bag's JPEG images: nearly lossless.
 const QUALITY: u8 = 97;
@@ -87,9 +87,7 @@ fn catalogue(dataset: &Path, sequence: &Sequence, folder: &Path) -> anyhow::Resu
 
 fn live(args: &TrackingArgs, sequence: &Sequence) -> anyhow::Result<TrackingReport> {
     let (bag, objects) = (args.run.join("bag"), args.run.join("objects"));
-    if bag.exists() {
-        std::fs::remove_dir_all(&bag).with_context(|| bag.display().to_string())?;
-    }
+    tdv_bag::remove_bag(&bag)?;
     std::fs::create_dir_all(&args.run)?;
     let t_base_camera = import(sequence, &bag)?;
     catalogue(&args.dataset, sequence, &objects)?;
@@ -103,7 +101,7 @@ fn live(args: &TrackingArgs, sequence: &Sequence) -> anyhow::Result<TrackingRepo
         ("level", "false".into()),
         ("policy", "false".into()),
     ];
-    let outcome = run_replay(&TrialSetup {
+    let setup = TrialSetup {
         launch_file: launch_file.into(),
         share: launch::share(launch_file),
         arguments: arguments
@@ -115,8 +113,10 @@ fn live(args: &TrackingArgs, sequence: &Sequence) -> anyhow::Result<TrackingRepo
         patience: PATIENCE,
         pictures: false,
         kill: None,
+        kill_carrying: false,
         bag: None,
-    })?;
+    };
+    let outcome = run_replay(&setup, &shutdown_on_signals()?)?;
     for exit in &outcome.exits {
         println!("{} ended ({:?}); see {}", exit.name, exit.code, args.run.join("logs").display());
     }

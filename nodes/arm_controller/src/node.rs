@@ -41,7 +41,7 @@ fn with<T>(input: &SharedInput, f: impl FnOnce(&mut ControllerInput) -> T) -> T 
 
 /// The node's life.
 pub async fn control(node: Node, params: Params<ArmParameters>) -> anyhow::Result<()> {
-    let mut p = params.get();
+    let mut p = ArmParameters::clone(&params.get());
     if !p.limits_file.is_empty() {
         p.control.limits = Limits::load(Path::new(&p.limits_file))?;
     }

@@ -37,38 +37,100 @@ pub fn set_stamp(payload: &mut [u8], stamp: Stamp) {
     }
 }
 
-/// Cuts a stream of messages into frames: runs of headed messages with one stamp. Messages without a
-/// header travel with the frame that follows them.
-#[derive(Default)]
+/// What a late subscriber would still get of latched topics: the last `depth` messages of each.
+pub struct Latched {
+    depth: usize,
+    messages: Vec<BagMessage>,
+}
+
+impl Latched {
+    /// Nothing yet.
+    pub fn new(depth: usize) -> Self {
+        Self { depth, messages: Vec::new() }
+    }
+
+    /// Adds the next message, in the order of the bag.
+    pub fn push(&mut self, message: BagMessage) {
+        let same = |m: &BagMessage| m.topic == message.topic;
+        if self.messages.iter().filter(|m| same(m)).count() >= self.depth
+            && let Some(oldest) = self.messages.iter().position(same)
+        {
+            self.messages.remove(oldest);
+        }
+        self.messages.push(message);
+    }
+
+    /// All of them, in the order of the bag.
+    pub fn messages(&self) -> &[BagMessage] {
+        &self.messages
+    }
+}
+
+/// Cuts a stream of messages into frames: runs of headed messages with one stamp, give or take a
+/// tolerance. Messages without a header travel with the frame that follows them.
 pub struct FrameGrouper {
+    tolerance: f64,
     pending: Vec<BagMessage>,
-    stamp: Option<Stamp>,
+    stamps: Option<Stamps>,
+}
+
+/// The oldest and the newest stamp of a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Stamps {
+    pub oldest: Stamp,
+    pub newest: Stamp,
 }
 
 /// Messages that belong together.
 pub struct Frame {
-    /// Stamp of the images; `None` for a run without any.
-    pub stamp: Option<Stamp>,
+    /// Stamps of the images; `None` for a run without any.
+    pub stamps: Option<Stamps>,
     pub messages: Vec<BagMessage>,
 }
 
+impl Stamps {
+    /// With another message; `None` when that one is more than `tolerance` seconds away from any.
+    fn with(self, stamp: Stamp, tolerance: f64) -> Option<Self> {
+        let (oldest, newest) = (self.oldest.min(stamp), self.newest.max(stamp));
+        (newest.since(oldest) <= tolerance).then_some(Self { oldest, newest })
+    }
+
+    /// Whether a message with this stamp answers the frame.
+    pub fn hold(self, stamp: Stamp) -> bool {
+        (self.oldest..=self.newest).contains(&stamp)
+    }
+
+    /// Moved by `shift` seconds.
+    pub fn plus(self, shift: f64) -> Self {
+        Self { oldest: self.oldest.plus(shift), newest: self.newest.plus(shift) }
+    }
+}
+
 impl FrameGrouper {
+    /// The stamps of a frame differ by at most `tolerance` seconds.
+    pub fn new(tolerance: f64) -> Self {
+        Self { tolerance, pending: Vec::new(), stamps: None }
+    }
+
     /// Adds a message with its header stamp; gives the frame that it completes.
     pub fn push(&mut self, message: BagMessage, stamp: Option<Stamp>) -> Option<Frame> {
-        let complete = match (self.stamp, stamp) {
-            (Some(a), Some(b)) if a != b => self.finish(),
-            _ => None,
-        };
-        self.stamp = stamp.or(self.stamp);
+        let mut complete = None;
+        if let Some(stamp) = stamp {
+            let joined = self.stamps.map(|s| s.with(stamp, self.tolerance));
+            if joined == Some(None) {
+                complete = self.finish();
+            }
+            self.stamps = joined.flatten().or(Some(Stamps { oldest: stamp, newest: stamp }));
+        }
         self.pending.push(message);
         complete
     }
 
     /// What is left at the end.
     pub fn finish(&mut self) -> Option<Frame> {
-        let stamp = self.stamp.take();
+        let stamps = self.stamps.take();
         let messages = std::mem::take(&mut self.pending);
-        (!messages.is_empty()).then_some(Frame { stamp, messages })
+        (!messages.is_empty()).then_some(Frame { stamps, messages })
     }
 }
 
@@ -96,14 +158,45 @@ mod tests {
 
     #[test]
     fn frames_are_runs_of_one_stamp() {
-        let mut g = FrameGrouper::default();
+        let mut g = FrameGrouper::new(0.0);
         let s = |n| Some(Stamp(n));
+        let both = |n| Some(Stamps { oldest: Stamp(n), newest: Stamp(n) });
         assert!(g.push(message("/tf_static"), None).is_none());
         assert!(g.push(message("color"), s(1)).is_none());
         assert!(g.push(message("depth"), s(1)).is_none());
         let first = g.push(message("color"), s(2)).unwrap();
-        assert_eq!((first.stamp, first.messages.len()), (s(1), 3));
+        assert_eq!((first.stamps, first.messages.len()), (both(1), 3));
         assert_eq!(g.finish().unwrap().messages.len(), 1);
         assert!(g.finish().is_none());
+    }
+
+    #[test]
+    fn slightly_different_stamps_are_one_frame() {
+        let mut g = FrameGrouper::new(0.005);
+        let s = |ms: i64| Some(Stamp(ms * 1_000_000));
+        assert!(g.push(message("depth"), s(103)).is_none());
+        assert!(g.push(message("color"), s(100)).is_none());
+        // Near to the depth image, but not to the colour image.
+        let first = g.push(message("color"), s(107)).unwrap();
+        assert_eq!(first.messages.len(), 2);
+        let stamps = first.stamps.unwrap();
+        assert!(stamps.hold(Stamp(100_000_000)) && stamps.hold(Stamp(103_000_000)));
+        assert!(!stamps.hold(Stamp(107_000_000)));
+        assert!(stamps.plus(1.0).hold(Stamp(1_100_000_000)));
+        assert_eq!(g.finish().unwrap().stamps.unwrap().oldest, Stamp(107_000_000));
+    }
+
+    #[test]
+    fn the_last_latched_messages_of_each_topic_stay_in_order() {
+        let mut kept = Latched::new(2);
+        for topic in ["/tf_static", "/info", "/tf_static", "/tf_static"] {
+            kept.push(message(topic));
+        }
+        let mut third = message("/tf_static");
+        third.log_time = Stamp(9);
+        kept.push(third);
+        let topics: Vec<_> =
+            kept.messages().iter().map(|m| (m.topic.as_str(), m.log_time.0)).collect();
+        assert_eq!(topics, [("/info", 0), ("/tf_static", 0), ("/tf_static", 9)]);
     }
 }

@@ -1,4 +1,4 @@
-use crate::frames::{Frame, FrameGrouper, has_header, set_stamp, stamp_of};
+use crate::frames::{Frame, FrameGrouper, Latched, Stamps, has_header, set_stamp, stamp_of};
 use crate::params::ReplayParameters;
 use anyhow::{Context as _, bail};
 use std::collections::{BTreeMap, BTreeSet};
@@ -14,9 +14,13 @@ use tdv_runtime::{Inbox, Level, Node, Params, Publisher, Qos, convert};
 const CAMERA_TYPES: [&str; 3] =
     ["sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"];
 
+/// Messages of a latched topic that a late subscriber still gets.
+const LATCHED: usize = 10;
+
 struct Output {
     publisher: Publisher<RawMessage>,
     headed: bool,
+    latched: bool,
 }
 
 struct Replay {
@@ -39,6 +43,7 @@ pub async fn replay(node: Node, params: Params<ReplayParameters>) -> anyhow::Res
     };
     let config = replay.params.config();
     let mut schedule = ReplaySchedule::new(config, first, last, Stamp(0))?;
+    replay.send_latched(&schedule, first)?;
     // The wall clock paces the replay: with `clock` on, the graph's own clock is what we publish.
     let origin = Instant::now();
     loop {
@@ -75,12 +80,14 @@ impl Replay {
         reader.select(&names, None)?;
         let mut outputs = BTreeMap::new();
         for topic in known.iter().filter(|t| topics.contains(&t.name)) {
-            let qos = if topic.latched { Qos::latched_depth(10) } else { Qos::reliable(5) };
+            // A bag that does not tell the quality of service: subscribers of /tf_static want it latched.
+            let latched = topic.latched || topic.name == "/tf_static";
+            let qos = if latched { Qos::latched_depth(LATCHED) } else { Qos::reliable(5) };
             let publisher = node
                 .raw_publisher(&topic.name, &topic.type_name, qos)
                 .with_context(|| format!("topic {} of {}", topic.name, params.bag))?;
             let headed = has_header(&topic.type_name);
-            outputs.insert(topic.name.clone(), Output { publisher, headed });
+            outputs.insert(topic.name.clone(), Output { publisher, headed, latched });
         }
         let clock =
             params.clock.then(|| node.publisher("/clock", Qos::best_effort(10))).transpose()?;
@@ -98,11 +105,31 @@ impl Replay {
         Ok(Self { node, params, reader, topics, outputs, clock, answers })
     }
 
+    /// Sends what latched topics said before the start, such as where the camera stands.
+    fn send_latched(&mut self, schedule: &ReplaySchedule, first: Stamp) -> anyhow::Result<()> {
+        let latched = self.outputs.iter().filter(|(_, output)| output.latched);
+        let names: Vec<&str> = latched.map(|(name, _)| name.as_str()).collect();
+        // No names would select every topic.
+        if names.is_empty() || schedule.start() <= first {
+            return Ok(());
+        }
+        self.reader.select(&names, None)?;
+        let mut kept = Latched::new(LATCHED);
+        while let Some(mut message) = self.reader.next_message()?
+            && message.log_time < schedule.start()
+        {
+            // As if it had just been sent: /clock begins at the start.
+            message.log_time = schedule.start();
+            kept.push(message);
+        }
+        kept.messages().iter().try_for_each(|message| self.send(message, schedule))
+    }
+
     /// Plays the bag once.
     async fn round(&mut self, schedule: &ReplaySchedule, origin: Instant) -> anyhow::Result<u64> {
         let names: Vec<&str> = self.topics.iter().map(String::as_str).collect();
         self.reader.select(&names, Some(schedule.start()))?;
-        let mut grouper = FrameGrouper::default();
+        let mut grouper = FrameGrouper::new(self.params.sync_tolerance);
         let mut sent = 0;
         while let Some(message) = self.reader.next_message()? {
             let headed = self.outputs.get(&message.topic).is_some_and(|o| o.headed);
@@ -135,14 +162,14 @@ impl Replay {
             for message in &frame.messages {
                 self.send(message, schedule)?;
             }
-            let Some(stamp) = frame.stamp else { return Ok(frame.messages.len() as u64) };
-            let missing = self.wait_for_answers(stamp.plus(schedule.shift())).await;
+            let Some(stamps) = frame.stamps else { return Ok(frame.messages.len() as u64) };
+            let missing = self.wait_for_answers(stamps.plus(schedule.shift())).await;
             if missing.is_empty() {
                 return Ok(frame.messages.len() as u64);
             }
             let sentence = format!(
                 "no answer to the frame of {:.3} s on {} (attempt {attempt})",
-                stamp.as_secs(),
+                stamps.oldest.as_secs(),
                 missing.join(", ")
             );
             tracing::warn!("{sentence}");
@@ -170,15 +197,15 @@ impl Replay {
         Ok(())
     }
 
-    /// The topics on which no message with this stamp came in time.
-    async fn wait_for_answers(&mut self, stamp: Stamp) -> Vec<String> {
+    /// The topics on which no message with a stamp of the frame came in time.
+    async fn wait_for_answers(&mut self, frame: Stamps) -> Vec<String> {
         let end =
             tokio::time::Instant::now() + Duration::from_secs_f64(self.params.lockstep_timeout);
         let mut missing: BTreeSet<String> = BTreeSet::new();
         for (topic, inbox) in &mut self.answers {
             loop {
                 match tokio::time::timeout_at(end, inbox.recv()).await {
-                    Ok(Some(m)) if stamp_of(&m.0) == Some(stamp) => break,
+                    Ok(Some(m)) if stamp_of(&m.0).is_some_and(|s| frame.hold(s)) => break,
                     Ok(Some(_)) => {}
                     Ok(None) | Err(_) => {
                         missing.insert(topic.clone());

@@ -17,6 +17,7 @@ pub struct ReplayParameters {
     pub lockstep: bool,
     pub lockstep_answers: Vec<String>,
     pub lockstep_timeout: f64,
+    pub sync_tolerance: f64,
 }
 
 impl Default for ReplayParameters {
@@ -36,6 +37,7 @@ impl Default for ReplayParameters {
                 "/diffusion_policy/prediction:tdv_msgs/msg/PoseTrajectory".into(),
             ],
             lockstep_timeout: 5.0,
+            sync_tolerance: 0.0,
         }
     }
 }
@@ -61,6 +63,10 @@ impl Parameters for ReplayParameters {
         if !(self.lockstep_timeout.is_finite() && self.lockstep_timeout > 0.0) {
             problems
                 .push(format!("'lockstep_timeout' is {}: seconds above 0", self.lockstep_timeout));
+        }
+        if !(self.sync_tolerance.is_finite() && self.sync_tolerance >= 0.0) {
+            problems
+                .push(format!("'sync_tolerance' is {}: seconds, 0 or more", self.sync_tolerance));
         }
         if self.lockstep && self.restamp {
             problems.push(
@@ -98,6 +104,9 @@ impl Parameters for ReplayParameters {
                 "TOPIC:TYPE of the messages that answer a frame, matched by stamp"
             }
             "lockstep_timeout" => "seconds to wait for the answers before the frame is sent again",
+            "sync_tolerance" => {
+                "largest difference (s) of the stamps of one frame in lockstep, as of perception_bridge"
+            }
             _ => "",
         }
     }

@@ -1,96 +1,85 @@
-//! Colour, depth and camera_info brought together by their stamps.
+//! Which frames are worked on: each stamp once, in order, and from the start when a stream starts over.
 
-use std::collections::VecDeque;
+use std::time::Instant;
 use tdv_geometry::Stamp;
 
-/// How many images of one kind wait for their partner.
-const WAITING: usize = 8;
+/// Stamps that step back farther (s) belong to another stream: a recording that starts over, or one
+/// wrong stamp from the future before them.
+const STEP_BACK: f64 = 0.5;
 
-/// Pairs two streams by stamp; the older partnerless ones are dropped and counted.
-pub struct Pairing<A, B> {
-    tolerance: f64,
-    a: VecDeque<(Stamp, A)>,
-    b: VecDeque<(Stamp, B)>,
-    last: Option<Stamp>,
-    dropped: u64,
+/// Images stamped farther (s) ahead of the clock are refused: their camera's clock is wrong.
+const AHEAD: f64 = 0.5;
+
+/// True for a stamp that cannot be at `now`.
+pub fn from_the_future(stamp: Stamp, now: Stamp) -> bool {
+    stamp.since(now) > AHEAD
 }
 
-impl<A, B> Pairing<A, B> {
-    /// Stamps may differ by `tolerance` seconds.
-    pub fn new(tolerance: f64) -> Self {
-        Self { tolerance, a: VecDeque::new(), b: VecDeque::new(), last: None, dropped: 0 }
-    }
+/// What is to be done with a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Turn {
+    /// It is worked on.
+    Next,
+    /// It is the first one of a stream that starts over.
+    StartsOver,
+    /// Its answer went out before it came again: whoever sent it missed the answer.
+    Missed,
+    /// It is older than the last one, or came twice before it was answered.
+    Late,
+}
 
-    /// Images that never found a partner.
-    pub fn dropped(&self) -> u64 {
-        self.dropped
-    }
+/// The frame that was answered last. A frame without an answer may come again.
+#[derive(Debug, Default)]
+pub struct Order {
+    last: Option<(Stamp, Instant)>,
+}
 
-    pub fn push_a(&mut self, stamp: Stamp, value: A) -> Option<(Stamp, A, B)> {
-        self.a.push_back((stamp, value));
-        self.pair()
-    }
-
-    pub fn push_b(&mut self, stamp: Stamp, value: B) -> Option<(Stamp, A, B)> {
-        self.b.push_back((stamp, value));
-        self.pair()
-    }
-
-    /// The oldest pair that is newer than the last one; its stamp is that of `a`.
-    fn pair(&mut self) -> Option<(Stamp, A, B)> {
-        let near = |s: Stamp, t: Stamp| s.since(t).abs() <= self.tolerance;
-        let found =
-            self.a.iter().enumerate().find_map(|(i, (s, _))| {
-                self.b.iter().position(|(t, _)| near(*s, *t)).map(|j| (i, j))
-            });
-        let Some((i, j)) = found else {
-            for extra in
-                [self.a.len().saturating_sub(WAITING), self.b.len().saturating_sub(WAITING)]
-            {
-                self.dropped += extra as u64;
-            }
-            self.a.drain(..self.a.len().saturating_sub(WAITING));
-            self.b.drain(..self.b.len().saturating_sub(WAITING));
-            return None;
-        };
-        self.dropped += (i + j) as u64;
-        self.a.drain(..i);
-        self.b.drain(..j);
-        let ((stamp, a), (_, b)) = (self.a.pop_front()?, self.b.pop_front()?);
-        // A frame that is shown twice (a replay that repeats itself) counts once.
-        if self.last.is_some_and(|l| stamp <= l) && self.last.is_some_and(|l| l.since(stamp) < 10.0)
-        {
-            return None;
+impl Order {
+    /// Says what to do with the frame of `stamp` that came in at `came`.
+    pub fn turn(&self, stamp: Stamp, came: Instant) -> Turn {
+        match self.last {
+            None => Turn::Next,
+            Some((last, _)) if stamp > last => Turn::Next,
+            Some((last, _)) if last.since(stamp) > STEP_BACK => Turn::StartsOver,
+            Some((last, answered)) if stamp == last && came > answered => Turn::Missed,
+            Some(_) => Turn::Late,
         }
-        self.last = Some(stamp);
-        Some((stamp, a, b))
+    }
+
+    /// The answer to the frame of `stamp` went out at `now`.
+    pub fn answered(&mut self, stamp: Stamp, now: Instant) {
+        self.last = Some((stamp, now));
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::time::Duration;
 
     #[test]
-    fn equal_stamps_pair_in_any_order_and_loners_are_counted() {
-        let mut p = Pairing::new(0.0);
-        assert!(p.push_a(Stamp(1), 'a').is_none());
-        assert!(p.push_a(Stamp(2), 'b').is_none());
-        assert_eq!(p.push_b(Stamp(2), 20), Some((Stamp(2), 'b', 20)));
-        assert_eq!(p.dropped(), 1);
-        assert!(p.push_b(Stamp(2), 20).is_none());
-        assert!(p.push_a(Stamp(2), 'b').is_none(), "a repeated frame counts once");
-        for i in 10..40 {
-            assert!(p.push_b(Stamp(i), 0).is_none());
-        }
-        assert_eq!(p.dropped(), 1 + 30 - WAITING as u64);
+    fn each_frame_once_until_the_stream_starts_over() {
+        let mut order = Order::default();
+        let (at, t0) = (Stamp::from_secs, Instant::now());
+        let t = |s| t0 + Duration::from_secs(s);
+        assert_eq!(order.turn(at(8.0), t(0)), Turn::Next);
+        // Not answered, for example for want of a camera_info: it may come again.
+        assert_eq!(order.turn(at(8.0), t(1)), Turn::Next);
+        order.answered(at(8.0), t(5));
+        assert_eq!(order.turn(at(8.0), t(4)), Turn::Late, "sent again while it was worked on");
+        assert_eq!(order.turn(at(8.0), t(6)), Turn::Missed, "sent again after the answer");
+        assert_eq!(order.turn(at(7.9), t(6)), Turn::Late);
+        assert_eq!(order.turn(at(8.1), t(6)), Turn::Next);
+        assert_eq!(order.turn(at(0.0), t(6)), Turn::StartsOver, "the bag played once more");
+        order.answered(at(0.0), t(7));
+        assert_eq!(order.turn(at(0.1), t(7)), Turn::Next);
     }
 
     #[test]
-    fn tolerance() {
-        let mut p = Pairing::new(0.01);
-        p.push_a(Stamp::from_secs(1.0), ());
-        assert!(p.push_b(Stamp::from_secs(1.02), ()).is_none());
-        assert!(p.push_b(Stamp::from_secs(1.005), ()).is_some());
+    fn images_ahead_of_the_clock() {
+        let now = Stamp::from_secs(10.0);
+        assert!(from_the_future(Stamp::from_secs(10.6), now));
+        assert!(!from_the_future(Stamp::from_secs(10.4), now));
+        assert!(!from_the_future(Stamp::from_secs(1.0), now));
     }
 }

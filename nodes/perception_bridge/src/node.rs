@@ -1,8 +1,8 @@
-use crate::frames::Pairing;
+use crate::frames::{Order, Turn, from_the_future};
 use crate::params::BridgeParameters;
 use anyhow::{Context as _, bail};
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tdv_geometry::Stamp;
@@ -12,7 +12,12 @@ use tdv_msgs::std_srvs::srv::{Trigger, TriggerResponse};
 use tdv_msgs::vision_msgs::msg::Detection3DArray;
 use tdv_perception::{Catalogue, ObjectModel, Perceiver, PerceptionOutput, RgbdFrame};
 use tdv_rendering::{DepthImage, Intrinsics, RgbImage};
-use tdv_runtime::{Inbox, Level, Node, Params, Publisher, Qos, Sender, convert, inbox, tracked};
+use tdv_runtime::{
+    Inbox, Level, Node, Params, Publisher, Qos, Sender, StampMatcher, convert, inbox, tracked,
+};
+
+/// How many images of one kind wait for their partner.
+const WAITING: usize = 8;
 
 /// Images as they came, decoded only when their turn comes.
 enum ColorMessage {
@@ -25,8 +30,13 @@ enum DepthMessage {
     Compressed(CompressedImage),
 }
 
-type Pair = (Header, ColorMessage, DepthMessage);
-type SharedPairing = Arc<Mutex<Pairing<ColorMessage, DepthMessage>>>;
+/// Colour and depth of one instant.
+struct Pair {
+    came: Instant,
+    header: Header,
+    color: ColorMessage,
+    depth: DepthMessage,
+}
 
 struct Work {
     node: Node,
@@ -39,6 +49,11 @@ struct Work {
     detections: Publisher<Detection3DArray>,
     segmentation: Option<Publisher<Image>>,
     frozen: Option<PerceptionOutput>,
+    order: Order,
+    /// The last answer, for whoever missed it.
+    answer: Detection3DArray,
+    /// Frames that were out of order or came twice.
+    late: u64,
 }
 
 fn models(params: &BridgeParameters) -> anyhow::Result<Vec<ObjectModel>> {
@@ -88,6 +103,9 @@ pub async fn perceive(node: Node, params: Params<BridgeParameters>) -> anyhow::R
             .then(|| node.publisher("/perception_bridge/segmentation", Qos::best_effort(2)))
             .transpose()?,
         frozen: None,
+        order: Order::default(),
+        answer: Detection3DArray::default(),
+        late: 0,
         params: p,
         node: node.clone(),
     };
@@ -96,38 +114,63 @@ pub async fn perceive(node: Node, params: Params<BridgeParameters>) -> anyhow::R
     Ok(())
 }
 
+/// Colour and depth on their way to a pair.
+struct Images {
+    node: Node,
+    matcher: Mutex<StampMatcher<ColorMessage, DepthMessage>>,
+    sender: Sender<Pair>,
+    ahead: AtomicU64,
+}
+
+impl Images {
+    fn color(&self, header: &Header, message: ColorMessage) {
+        self.arrived(header, |matcher, stamp| matcher.left(stamp, message));
+    }
+
+    fn depth(&self, header: &Header, message: DepthMessage) {
+        self.arrived(header, |matcher, stamp| matcher.right(stamp, message));
+    }
+
+    fn arrived(
+        &self,
+        header: &Header,
+        push: impl FnOnce(
+            &mut StampMatcher<ColorMessage, DepthMessage>,
+            Stamp,
+        ) -> Option<(Stamp, ColorMessage, DepthMessage)>,
+    ) {
+        let (stamp, clock) = (tracked::stamp(header), self.node.clock());
+        let diagnostics = self.node.diagnostics();
+        // Simulated time comes on a topic of its own and may be later than the image it belongs to.
+        if !clock.is_simulated() && from_the_future(stamp, clock.now()) {
+            let count = self.ahead.fetch_add(1, Ordering::Relaxed) + 1;
+            diagnostics.set("images_from_the_future", count);
+            let ahead = stamp.since(clock.now());
+            let sentence = format!("an image is stamped {ahead:.1} s ahead of the clock: refused");
+            tracing::warn!("{sentence}");
+            diagnostics.level(Level::Error, sentence);
+            return;
+        }
+        let mut matcher = self.matcher.lock().unwrap_or_else(PoisonError::into_inner);
+        let pair = push(&mut matcher, stamp);
+        diagnostics.set("unpaired_images", matcher.unpaired());
+        if let Some((stamp, color, depth)) = pair {
+            let header = tracked::header_in(stamp, &header.frame_id);
+            self.sender.send(Pair { came: Instant::now(), header, color, depth });
+        }
+    }
+}
+
 fn subscribe_images(node: &Node, p: &BridgeParameters, sender: Sender<Pair>) -> anyhow::Result<()> {
-    let pairing: SharedPairing = Arc::new(Mutex::new(Pairing::new(p.sync_tolerance)));
-    let deliver = {
-        let sender = Arc::new(sender);
-        let diagnostics = node.diagnostics().clone();
-        move |stamp: Stamp,
-              frame_id: &str,
-              pair: Option<(ColorMessage, DepthMessage)>,
-              dropped: u64| {
-            diagnostics.set("unpaired_images", dropped);
-            if let Some((color, depth)) = pair {
-                sender.send((tracked::header_in(stamp, frame_id), color, depth));
-            }
-        }
-    };
-    let color = {
-        let (pairing, deliver) = (pairing.clone(), deliver.clone());
-        move |header: &Header, message: ColorMessage| {
-            let mut pairing = pairing.lock().unwrap_or_else(PoisonError::into_inner);
-            let pair = pairing.push_a(tracked::stamp(header), message);
-            let stamp = pair.as_ref().map_or_else(Stamp::default, |p| p.0);
-            deliver(stamp, &header.frame_id, pair.map(|p| (p.1, p.2)), pairing.dropped());
-        }
-    };
-    let depth = {
-        move |header: &Header, message: DepthMessage| {
-            let mut pairing = pairing.lock().unwrap_or_else(PoisonError::into_inner);
-            let pair = pairing.push_b(tracked::stamp(header), message);
-            let stamp = pair.as_ref().map_or_else(Stamp::default, |p| p.0);
-            deliver(stamp, &header.frame_id, pair.map(|p| (p.1, p.2)), pairing.dropped());
-        }
-    };
+    let images = Arc::new(Images {
+        node: node.clone(),
+        matcher: Mutex::new(StampMatcher::new(p.sync_tolerance, WAITING)),
+        sender,
+        ahead: AtomicU64::new(0),
+    });
+    let shared = images.clone();
+    let color = move |header: &Header, message| shared.color(header, message);
+    let depth = move |header: &Header, message| images.depth(header, message);
     let qos = if p.every_frame { Qos::reliable(32) } else { Qos::sensor_data() };
     if p.compressed {
         node.subscribe(
@@ -155,13 +198,16 @@ fn subscribe_images(node: &Node, p: &BridgeParameters, sender: Sender<Pair>) -> 
 impl Work {
     fn run(mut self) {
         while !self.node.shutdown().is_requested() {
-            let Some((header, color, depth)) = self.pairs.recv_timeout(Duration::from_millis(200))
-            else {
+            let Some(pair) = self.pairs.recv_timeout(Duration::from_millis(200)) else {
                 if self.pairs.is_closed() {
                     return;
                 }
                 continue;
             };
+            self.node.diagnostics().set("skipped_frames", self.pairs.dropped());
+            if !self.is_next(&pair) {
+                continue;
+            }
             if let Some(info) = self.camera_info.try_newest() {
                 match convert::intrinsics_from_info(&self.params.camera_info_topic, &info) {
                     Ok(k) => self.intrinsics = Some(k),
@@ -169,20 +215,53 @@ impl Work {
                 }
             }
             let Some(intrinsics) = self.intrinsics else {
+                // No answer: a lockstep replay sends the frame again.
                 self.complain(&format!("no {} yet", self.params.camera_info_topic));
                 continue;
             };
-            let images = decode(&color, &depth, &self.params);
-            let (color, depth) = match images {
-                Ok(images) => images,
-                Err(e) => {
-                    self.complain(&format!("{e:#}"));
-                    continue;
+            let stamp = tracked::stamp(&pair.header);
+            match decode(&pair.color, &pair.depth, &self.params) {
+                Ok((color, depth)) => {
+                    let frame = RgbdFrame { stamp, color, depth, intrinsics };
+                    self.process(&pair.header, &frame);
                 }
-            };
-            let frame = RgbdFrame { stamp: tracked::stamp(&header), color, depth, intrinsics };
-            self.process(&header, &frame);
+                Err(e) => self.give_up(&pair.header, &format!("{e:#}")),
+            }
         }
+    }
+
+    /// Whether a frame is to be worked on.
+    fn is_next(&mut self, pair: &Pair) -> bool {
+        match self.order.turn(tracked::stamp(&pair.header), pair.came) {
+            Turn::Next => return true,
+            Turn::StartsOver => {
+                tracing::info!("the stamps step back: the images start over");
+                self.again.store(true, Ordering::SeqCst);
+                return true;
+            }
+            // Only a lockstep replay sends a frame again; a camera that repeats itself counts once.
+            Turn::Missed if self.params.every_frame => {
+                self.detections.publish(self.answer.clone());
+            }
+            Turn::Missed | Turn::Late => {
+                self.late += 1;
+                self.node.diagnostics().set("late_frames", self.late);
+            }
+        }
+        false
+    }
+
+    /// Answers a frame that will never be usable with no detections at all, so that a lockstep replay
+    /// can go on.
+    fn give_up(&mut self, header: &Header, sentence: &str) {
+        self.complain(sentence);
+        self.send(Detection3DArray { header: header.clone(), detections: Vec::new() });
+    }
+
+    fn send(&mut self, answer: Detection3DArray) {
+        self.detections.publish(answer.clone());
+        self.order.answered(tracked::stamp(&answer.header), Instant::now());
+        self.answer = answer;
     }
 
     fn complain(&self, sentence: &str) {
@@ -201,7 +280,8 @@ impl Work {
             _ => match self.perceiver.step(frame) {
                 Ok(output) => output,
                 Err(e) => {
-                    self.complain(&format!("frame of {:.3} s: {e}", frame.stamp.as_secs()));
+                    let sentence = format!("frame of {:.3} s: {e}", frame.stamp.as_secs());
+                    self.give_up(header, &sentence);
                     return;
                 }
             },
@@ -226,7 +306,7 @@ impl Work {
         }
     }
 
-    fn publish(&self, header: &Header, frame: &RgbdFrame, output: &PerceptionOutput) {
+    fn publish(&mut self, header: &Header, frame: &RgbdFrame, output: &PerceptionOutput) {
         let mut detections: Vec<_> = output
             .detections
             .iter()
@@ -245,17 +325,11 @@ impl Work {
                 1.0,
             ));
         }
-        self.detections.publish(Detection3DArray { header: header.clone(), detections });
+        self.send(Detection3DArray { header: header.clone(), detections });
         if let Some(publisher) = &self.segmentation {
-            publisher.publish(Image {
-                header: header.clone(),
-                width: frame.color.width(),
-                height: frame.color.height(),
-                encoding: "mono8".into(),
-                is_bigendian: 0,
-                step: frame.color.width(),
-                data: output.masks.clone(),
-            });
+            let (width, height) = frame.color.dimensions();
+            let labels = &output.masks;
+            publisher.publish(convert::image_from_labels(width, height, labels, header.clone()));
         }
     }
 }

@@ -74,7 +74,9 @@ impl Parameters for DriverParameters {
             "frequency" => "RTDE packages per second: 125 for CB3, 500 for e-Series",
             "controller_name" => "name under which joint trajectories are taken",
             "gripper_controller_name" => "name of the gripper's action controller",
-            "limits_file" => "limits of the motion (config/robot/limits.yaml); '' for the built-in ones",
+            "limits_file" => {
+                "limits of the motion (config/robot/limits.yaml); '' for the built-in ones"
+            }
             "gripper_speed" => "finger speed, 0..255 of 20..150 mm/s",
             "gripper_force" => "grip force, 0..255 of 20..235 N",
             _ => "",

@@ -121,8 +121,9 @@ mod tests {
         // 2 rad in 0.2 s is faster than any limit: refused, and it stays refused until told anew.
         shared.accept(&to(2.0), t.plus(0.1)).unwrap();
         assert!(
-            (0..30)
-                .any(|i| shared.target(t.plus(0.1 + 0.008 * f64::from(i)), [0.0; 6], true).is_err())
+            (0..30).any(|i| shared
+                .target(t.plus(0.1 + 0.008 * f64::from(i)), [0.0; 6], true)
+                .is_err())
         );
         assert!(shared.target(t.plus(1.0), [0.0; 6], true).is_err());
         shared.accept(&to(0.01), t.plus(1.0)).unwrap();

@@ -1,6 +1,7 @@
 //! The machine that owns the procedure number.
 
 use crate::PolicyError;
+use crate::history::STEP_BACK;
 use serde::{Deserialize, Serialize};
 use tdv_geometry::{Pose, Stamp, pose_distance};
 
@@ -124,11 +125,20 @@ impl SwitchCore {
     }
 
     /// Takes the probability for the current procedure and the pose that it was computed from. An
-    /// observation that is not newer than the last one, or not a number, counts for nothing.
+    /// observation that is not newer than the last one, or not a number, counts for nothing. Stamps that
+    /// step back by more than half a second are a stream that starts over: the procedure stays, its
+    /// time-out and the observations in a row start anew.
     pub fn step(&mut self, now: Stamp, probability: f32, pose: &Pose) -> SwitchState {
         self.state.switched = false;
-        if self.last.is_some_and(|last| now <= last) || !probability.is_finite() {
+        if !probability.is_finite() {
             return self.state;
+        }
+        if let Some(last) = self.last.filter(|last| now <= *last) {
+            if last.since(now) <= STEP_BACK {
+                return self.state;
+            }
+            self.streak = 0;
+            self.began = None;
         }
         self.last = Some(now);
         let began = *self.began.get_or_insert(now);
@@ -173,6 +183,7 @@ impl SwitchCore {
         self.state.guarded = false;
         self.streak = 0;
         self.began = None;
+        self.last = None;
     }
 
     /// Other settings from now on; the procedure stays.
@@ -227,6 +238,36 @@ mod tests {
         core.reset();
         assert_eq!((core.procedure(), core.state().complete), (0, false));
         assert!(!feed(&mut core, &mut t, 0.9, &pose).switched);
+    }
+
+    #[test]
+    fn a_step_back_of_the_stamps_starts_the_count_anew() {
+        let config = SwitchConfig { timeout: Some(10.0), ..Default::default() };
+        let mut core = SwitchCore::new(2, config).unwrap();
+        let (pose, second) = (at(0.0), 1_000_000_000);
+        let mut t = 100 * second;
+        feed(&mut core, &mut t, 0.9, &pose);
+        feed(&mut core, &mut t, 0.9, &pose);
+        // A little late counts for nothing; one from the future is followed by a step back.
+        assert!(!core.step(Stamp(t - second / 2), 0.9, &pose).switched);
+        core.step(Stamp(t + 500 * second), 0.1, &pose);
+        for _ in 0..2 {
+            let s = feed(&mut core, &mut t, 0.9, &pose);
+            assert!(!s.switched && !s.timed_out);
+        }
+        assert!(feed(&mut core, &mut t, 0.9, &pose).switched);
+        // The count of before the step back is worth nothing, the procedure stays.
+        feed(&mut core, &mut t, 0.9, &pose);
+        feed(&mut core, &mut t, 0.9, &pose);
+        let mut t = second;
+        assert!(!feed(&mut core, &mut t, 0.9, &pose).switched);
+        assert_eq!(core.procedure(), 1);
+        // After a reset any stamp is the first one.
+        core.reset();
+        let mut t = second * 3 / 4;
+        for i in 0..3 {
+            assert_eq!(feed(&mut core, &mut t, 0.9, &pose).switched, i == 2);
+        }
     }
 
     #[test]

@@ -1,5 +1,7 @@
 use super::{LaunchError, NodeCommand};
 use std::fs::File;
+#[cfg(target_os = "linux")]
+use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
@@ -48,7 +50,9 @@ pub struct Launched {
 }
 
 impl Launched {
-    /// Starts all programs. If one cannot be started the others are ended.
+    /// Starts all programs. If one cannot be started the others are ended. They get SIGTERM when the
+    /// calling thread ends, so that a killed program leaves no nodes behind; call it from a thread that
+    /// stays, such as that of `main`.
     ///
     /// # Errors
     /// [`LaunchError::Start`].
@@ -79,6 +83,7 @@ impl Launched {
                 .map_err(error)?;
             process.stdout(log.try_clone().map_err(error)?).stderr(log);
         }
+        end_with_this_thread(&mut process);
         process.spawn().map_err(error)
     }
 
@@ -162,10 +167,58 @@ impl Drop for Launched {
     }
 }
 
+#[cfg(target_os = "linux")]
+fn end_with_this_thread(process: &mut Command) {
+    let parent = std::process::id();
+    // SAFETY: between fork and exec only system calls are made, and nothing is allocated.
+    unsafe {
+        process.pre_exec(move || {
+            if libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGTERM) != 0 {
+                return Err(std::io::Error::last_os_error());
+            }
+            // The parent may have gone before the call: then no signal will come.
+            if libc::getppid() as u32 != parent {
+                return Err(std::io::Error::from_raw_os_error(libc::ESRCH));
+            }
+            Ok(())
+        });
+    }
+}
+
+/// Other systems have no such signal.
+#[cfg(not(target_os = "linux"))]
+fn end_with_this_thread(_: &mut Command) {}
+
 fn interrupt(pid: u32) {
     // SAFETY: kill() has no memory effects; the pid is of a child that has not been waited for, so it
     // cannot belong to another process.
     unsafe {
         libc::kill(pid as libc::pid_t, libc::SIGINT);
+    }
+}
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use super::*;
+    use std::os::unix::process::ExitStatusExt as _;
+
+    #[test]
+    fn programs_end_with_the_thread_that_started_them() {
+        let command = NodeCommand {
+            name: "sleeper".into(),
+            executable: "sleep".into(),
+            arguments: vec!["60".into()],
+            environment: Vec::new(),
+        };
+        let options =
+            StartOptions { binaries: "/bin".into(), ..StartOptions::beside_this_program() };
+        let start = move || Launched::start(&[command], options).unwrap();
+        let mut launched = std::thread::spawn(start).join().unwrap();
+        let end = Instant::now() + Duration::from_secs(20);
+        while launched.exited().is_empty() && Instant::now() < end {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        let status = launched.nodes[0].status.expect("ended by itself");
+        assert_eq!(status.signal(), Some(libc::SIGTERM));
     }
 }

@@ -37,6 +37,9 @@ pub(super) enum Step {
 /// Watches the true joints and picks the moments.
 pub(super) struct FaultWatch {
     node: String,
+    /// Kill only while something is held.
+    carrying: bool,
+    held: bool,
     moving_since: Option<Instant>,
     speed: f64,
     killed: Option<(Instant, Stamp)>,
@@ -46,9 +49,11 @@ pub(super) struct FaultWatch {
 }
 
 impl FaultWatch {
-    pub fn new(node: String) -> Self {
+    pub fn new(node: String, carrying: bool) -> Self {
         Self {
             node,
+            carrying,
+            held: false,
             moving_since: None,
             speed: 0.0,
             killed: None,
@@ -78,6 +83,11 @@ impl FaultWatch {
         }
     }
 
+    /// Whether the controller holds something.
+    pub fn held(&mut self, held: bool) {
+        self.held = held;
+    }
+
     /// A sentence that an operator could read now.
     pub fn sentence(&mut self, from: &str, sentence: &str) {
         let speaker = if self.node == "arm_controller" { "ur5_driver" } else { "arm_controller" };
@@ -89,6 +99,7 @@ impl FaultWatch {
     /// What is due; `now` is the graph's clock.
     pub fn step(&mut self, now: Stamp) -> Step {
         match self.killed {
+            None if self.carrying && !self.held => Step::Wait,
             None if self.moving_since.is_some_and(|t| t.elapsed() > SETTLED) => {
                 self.killed = Some((Instant::now(), now));
                 Step::Kill
@@ -128,7 +139,7 @@ mod tests {
 
     #[test]
     fn rest_counts_from_the_kill_and_only_if_it_lasts() {
-        let mut watch = FaultWatch::new("pose_tracker".into());
+        let mut watch = FaultWatch::new("pose_tracker".into(), false);
         watch.joints(&joints(0.5), Stamp::from_secs(1.0));
         watch.moving_since = Instant::now().checked_sub(Duration::from_secs(1));
         assert_eq!(watch.step(Stamp::from_secs(1.0)), Step::Kill);
@@ -145,7 +156,7 @@ mod tests {
 
     #[test]
     fn an_arm_at_rest_is_not_killed() {
-        let mut watch = FaultWatch::new("ur5_driver".into());
+        let mut watch = FaultWatch::new("ur5_driver".into(), false);
         watch.joints(&joints(0.5), Stamp::from_secs(1.0));
         watch.joints(&joints(0.0), Stamp::from_secs(1.1));
         assert_eq!(watch.step(Stamp::from_secs(1.1)), Step::Wait);

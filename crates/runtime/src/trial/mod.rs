@@ -4,14 +4,18 @@ mod fault;
 mod latency;
 mod pictures;
 mod replay;
+mod signals;
 
 use crate::launch::{LaunchError, LaunchFile, Launched, NodeExit, StartOptions};
 use crate::names::Resolver;
 use crate::node::Node;
-use crate::record::{RecordError, Recorder};
-use crate::{Arguments, DiscoveryRange, Environment, Inbox, Qos, RuntimeError, tracked};
+use crate::record::{RecordError, Recorder, Recording};
+use crate::{
+    Arguments, DiscoveryRange, Environment, Inbox, Qos, Reason, RuntimeError, Shutdown, tracked,
+};
 pub use fault::FaultFigures;
 pub use replay::{ReplayOutcome, run_replay};
+pub use signals::shutdown_on_signals;
 
 use fault::{FaultWatch, Step};
 use latency::StageClock;
@@ -45,6 +49,8 @@ pub struct TrialSetup {
     pub pictures: bool,
     /// Kill this node (SIGKILL) once the arm has moved for a while, and start it again a second later.
     pub kill: Option<String>,
+    /// Kill it not before something is held.
+    pub kill_carrying: bool,
     /// Record the run into this folder, which must not exist yet.
     pub bag: Option<PathBuf>,
 }
@@ -69,7 +75,7 @@ pub struct TrialOutcome {
     /// Seconds of the clock.
     pub wall: f64,
     /// The bag of the run.
-    pub bag: Option<PathBuf>,
+    pub bag: Option<Recording>,
     /// What the kill did, when one was asked for and the arm moved.
     pub fault: Option<FaultFigures>,
 }
@@ -86,6 +92,9 @@ pub enum TrialError {
     /// The bag cannot be written.
     #[error(transparent)]
     Record(#[from] RecordError),
+    /// The end was asked for before the trial was over.
+    #[error("interrupted ({0}); the nodes have been stopped")]
+    Interrupted(String),
 }
 
 /// The lab's verdict comes within this time after the controller is done, or the trial has failed.
@@ -149,9 +158,17 @@ impl Watch {
 /// Runs one trial from the start of the processes to their end. Blocks; uses a tokio runtime of its own.
 ///
 /// # Errors
-/// [`TrialError`]. A trial that goes wrong is not an error: its outcome says how.
-pub fn run_trial(setup: &TrialSetup) -> Result<TrialOutcome, TrialError> {
-    block_on(watch_trial(setup))
+/// [`TrialError`]. A trial that goes wrong is not an error: its outcome says how. One that `shutdown`
+/// ends early is; its bag is finished all the same.
+pub fn run_trial(setup: &TrialSetup, shutdown: &Shutdown) -> Result<TrialOutcome, TrialError> {
+    block_on(watch_trial(setup, shutdown))
+}
+
+fn not_interrupted(shutdown: &Shutdown) -> Result<(), TrialError> {
+    match shutdown.reason() {
+        Some(Reason::Asked(why) | Reason::Failed(why)) => Err(TrialError::Interrupted(why)),
+        None => Ok(()),
+    }
 }
 
 fn block_on<T>(work: impl Future<Output = Result<T, TrialError>>) -> Result<T, TrialError> {
@@ -186,7 +203,8 @@ fn start(setup: &TrialSetup) -> Result<(Node, Launched), TrialError> {
     Ok((node, Launched::start(&commands, options)?))
 }
 
-async fn watch_trial(setup: &TrialSetup) -> Result<TrialOutcome, TrialError> {
+async fn watch_trial(setup: &TrialSetup, shutdown: &Shutdown) -> Result<TrialOutcome, TrialError> {
+    not_interrupted(shutdown)?;
     let (node, mut launched) = start(setup)?;
     let mut watch = Watch::new(&node, setup.pictures || setup.bag.is_some())?;
     let began = Instant::now();
@@ -198,7 +216,7 @@ async fn watch_trial(setup: &TrialSetup) -> Result<TrialOutcome, TrialError> {
         None => None,
     };
     let mut looked: Option<Instant> = None;
-    let mut fault = setup.kill.clone().map(FaultWatch::new);
+    let mut fault = setup.kill.clone().map(|n| FaultWatch::new(n, setup.kill_carrying));
     loop {
         tokio::time::sleep(Duration::from_millis(2)).await;
         collect(&mut watch, &mut outcome, &mut stages, &mut taker, &mut fault);
@@ -230,7 +248,8 @@ async fn watch_trial(setup: &TrialSetup) -> Result<TrialOutcome, TrialError> {
         let idle =
             watch.done.is_some_and(|t| t.elapsed() > AFTER_DONE) || watch.moved.elapsed() > STILL;
         let finished = idle || outcome.verdict.as_ref().is_some_and(|v| v.finished);
-        if finished || died || began.elapsed().as_secs_f64() > setup.patience {
+        let late = began.elapsed().as_secs_f64() > setup.patience;
+        if finished || died || late || shutdown.is_requested() {
             break;
         }
     }
@@ -245,6 +264,8 @@ async fn watch_trial(setup: &TrialSetup) -> Result<TrialOutcome, TrialError> {
     outcome.latency_ms = stages.into_samples();
     outcome.pictures = taker.into_pictures();
     node.leave();
+    // Nodes that the same Ctrl-C ended do not make this a failed trial.
+    not_interrupted(shutdown)?;
     Ok(outcome)
 }
 
@@ -298,6 +319,7 @@ fn collect(
     while let Some(m) = watch.status.try_recv() {
         watch.done = if m.done { watch.done.or(Some(now)) } else { None };
         if let Some(fault) = fault {
+            fault.held(m.object_held);
             fault.sentence("arm_controller", &m.sentence);
         }
         tell(&mut outcome.story, m.sentence);

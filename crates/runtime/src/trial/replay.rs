@@ -1,8 +1,8 @@
 //! A recording through the live graph: every answer of the pose tracker.
 
-use super::{TrialError, TrialSetup, start};
+use super::{TrialError, TrialSetup, not_interrupted, start};
 use crate::launch::NodeExit;
-use crate::{Inbox, Qos, tracked};
+use crate::{Inbox, Qos, Shutdown, tracked};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 use tdv_geometry::Stamp;
@@ -28,12 +28,14 @@ pub struct ReplayOutcome {
 /// Starts the graph, waits until the recording has been played and answered, and ends the graph.
 ///
 /// # Errors
-/// [`TrialError`]. Frames without an answer and nodes that ended are in the outcome.
-pub fn run_replay(setup: &TrialSetup) -> Result<ReplayOutcome, TrialError> {
-    super::block_on(watch(setup))
+/// [`TrialError`]. Frames without an answer and nodes that ended are in the outcome; a replay that
+/// `shutdown` ends early has none.
+pub fn run_replay(setup: &TrialSetup, shutdown: &Shutdown) -> Result<ReplayOutcome, TrialError> {
+    super::block_on(watch(setup, shutdown))
 }
 
-async fn watch(setup: &TrialSetup) -> Result<ReplayOutcome, TrialError> {
+async fn watch(setup: &TrialSetup, shutdown: &Shutdown) -> Result<ReplayOutcome, TrialError> {
+    not_interrupted(shutdown)?;
     let (node, mut launched) = start(setup)?;
     let mut objects: Inbox<TrackedObjects> =
         node.queue("/pose_tracker/objects", Qos::reliable(32), 256)?;
@@ -65,11 +67,13 @@ async fn watch(setup: &TrialSetup) -> Result<ReplayOutcome, TrialError> {
             }
         }
         let late = began.elapsed().as_secs_f64() > setup.patience;
-        if late || !outcome.exits.is_empty() || over.is_some_and(|o| now - o > AFTER) {
+        let over = over.is_some_and(|o| now - o > AFTER);
+        if late || over || !outcome.exits.is_empty() || shutdown.is_requested() {
             break;
         }
     }
     launched.stop(Duration::from_secs(3));
     node.leave();
+    not_interrupted(shutdown)?;
     Ok(outcome)
 }
