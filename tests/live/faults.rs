@@ -8,11 +8,20 @@ const REST_MS: f64 = 350.0;
 
 #[test]
 fn the_arm_rests_says_why_and_goes_on_whichever_node_dies() {
+    kill_each(&[]);
+}
+
+#[test]
+fn nothing_is_dropped_whichever_node_dies_in_mid_carry() {
+    kill_each(&["--kill-carrying"]);
+}
+
+fn kill_each(more: &[&str]) {
     let Some(model) = model() else { return };
     let _machine = machine();
     let folder = tempfile::tempdir().unwrap();
     let result = folder.path().join("result.json");
-    let arguments = [
+    let mut arguments = vec![
         "eval",
         "closed-loop",
         "--task",
@@ -31,6 +40,7 @@ fn the_arm_rests_says_why_and_goes_on_whichever_node_dies() {
         "--run",
         folder.path().to_str().unwrap(),
     ];
+    arguments.extend(more);
     let (code, said) = run("tdv", &arguments, Duration::from_secs(600));
     println!("{said}");
     let trials = json(&result);

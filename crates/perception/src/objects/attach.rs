@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix4, SymmetricEigen, UnitQuaternion, Vector3, Vector4};
 use serde::{Deserialize, Serialize};
-use tdv_geometry::{Pose, Symmetry, pose_distance};
+use tdv_geometry::{Pose, Stamp, Symmetry, pose_distance};
 
 /// Settings of the grasp measurement.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -21,11 +21,22 @@ pub struct AttachConfig {
     pub max_angle: f64,
     /// Frames in a row with such a difference before it counts.
     pub slip_frames: u32,
+    /// Silence (s) after which the first observations do not count as a slip until one agrees again:
+    /// found anew in the gripper an object is often misread.
+    pub gap: f64,
 }
 
 impl Default for AttachConfig {
     fn default() -> Self {
-        Self { frames: 8, outlier: 0.015, rate: 0.03, slip: 0.05, max_angle: 0.5, slip_frames: 10 }
+        Self {
+            frames: 8,
+            outlier: 0.015,
+            rate: 0.03,
+            slip: 0.05,
+            max_angle: 0.5,
+            slip_frames: 10,
+            gap: 0.5,
+        }
     }
 }
 
@@ -36,29 +47,37 @@ pub struct Attachment {
     samples: Vec<Pose>,
     pose: Option<Pose>,
     off: u32,
+    /// Stamp of the last observation, and whether one has agreed since the last gap.
+    last: Option<Stamp>,
+    followed: bool,
 }
 
 impl Attachment {
     /// With a first guess from the object's last pose, where there is one.
     pub(crate) fn new(config: AttachConfig, guess: Option<Pose>) -> Self {
-        Self { config, samples: Vec::new(), pose: guess, off: 0 }
+        Self { config, samples: Vec::new(), pose: guess, off: 0, last: None, followed: true }
     }
 
     /// The object seen at `object` while the tool is at `tcp` (both base frame).
-    pub(crate) fn observe(&mut self, tcp: &Pose, object: &Pose, symmetry: &Symmetry) {
+    pub(crate) fn observe(&mut self, stamp: Stamp, tcp: &Pose, object: &Pose, symmetry: &Symmetry) {
+        if self.last.is_some_and(|last| stamp.since(last) > self.config.gap) {
+            self.followed = false;
+            self.off = 0;
+        }
+        self.last = Some(stamp);
         let mut t = tcp.inverse() * object;
         if let Some(last) = &self.pose {
             t = symmetry.nearest(&t, &last.rotation);
             let (d, a) = pose_distance(&t, last);
             if d > self.config.slip {
-                self.off += 1;
+                self.off += u32::from(self.followed);
                 return;
             }
             if a > self.config.max_angle {
                 return;
             }
         }
-        self.off = 0;
+        (self.off, self.followed) = (0, true);
         if self.samples.len() < self.config.frames.max(1) {
             self.samples.push(t);
             self.pose = average(&self.samples, self.config.outlier).or(self.pose);

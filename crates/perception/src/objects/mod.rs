@@ -256,7 +256,7 @@ impl Objects {
         let believed = seen.filter(|s| s.confidence >= self.config.accept);
         let symmetry = &self.task.objects[i].symmetry;
         if let Some(s) = believed {
-            attachment.observe(tcp, &s.pose, symmetry);
+            attachment.observe(stamp, tcp, &s.pose, symmetry);
         }
         if attachment.slipped() {
             self.attachment = None;

@@ -177,6 +177,26 @@ fn a_mug_left_behind_is_noticed() {
 }
 
 #[test]
+fn misread_after_a_silence_the_held_mug_stays_held() {
+    let mut w = World::new();
+    let start = mug_at(0.5, 0.0);
+    let tool = pose_from_xyz_rpy([0.5, 0.1, 0.08], [std::f64::consts::PI, 0.0, 0.3]);
+    let wrong = mug_at(0.6, 0.0);
+    let see = |w: &mut World, pose: &Pose, frames: usize| {
+        let frames = (0..frames)
+            .map(|_| w.step(&[detection("mug", pose, 0.9)], Some(&tool), true).objects[0].state);
+        frames.last().unwrap()
+    };
+    assert_eq!(see(&mut w, &start, 12), ObjectState::Held);
+    w.frame += 30;
+    assert_eq!(see(&mut w, &wrong, 40), ObjectState::Held);
+    assert!(w.objects.t_attach().is_some());
+    assert_eq!(see(&mut w, &start, 1), ObjectState::Held);
+    // Followed again, the same counts.
+    assert_ne!(see(&mut w, &wrong, 12), ObjectState::Held);
+}
+
+#[test]
 fn a_round_reference_has_yaw_zero_and_poses_are_relative_to_it() {
     let mut w = World::new();
     let mut last = None;
