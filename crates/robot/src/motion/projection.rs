@@ -12,6 +12,8 @@ use thiserror::Error;
 const HALF_WINDOW: usize = 3;
 /// A target moving a joint faster than this (rad/s) from tick to tick has changed branch.
 const BRANCH_RATE: f64 = 20.0;
+/// No stop is quicker (s), however slow the arm: a jerk is no stop.
+const QUICKEST_STOP: f64 = 0.06;
 /// Points of the deceleration that are sent.
 const STOP_POINTS: usize = 8;
 
@@ -70,9 +72,13 @@ impl Projection {
         Self { states: vec![MotionState::at_rest(q)], tick: p.tick, stop_time: p.stop_time() }
     }
 
-    /// To rest from `start`, from now on.
+    /// To rest from `start`, from now on, in less time than a trajectory has for it where the speed
+    /// allows that.
     pub fn stop(start: MotionState, p: &ControllerParams) -> Self {
-        Self { states: vec![start], tick: p.tick, stop_time: p.stop_time() }
+        // The peak deceleration of `law::stop`.
+        let needed = 1.5 * law::max_abs(&start.qd) / p.limits.stop_acceleration;
+        let stop_time = needed.max(QUICKEST_STOP).min(p.stop_time());
+        Self { states: vec![start], tick: p.tick, stop_time }
     }
 
     /// Seconds before the deceleration begins.
