@@ -32,8 +32,9 @@ fn replayed(model: &Path, folder: &Path, name: &str) -> BTreeMap<String, Vec<Vec
     ];
     let (code, said) = run("tdv", &arguments, Duration::from_secs(120));
     assert_eq!(code, Some(0), "{said}");
-    let pid = recorder.id().to_string();
-    assert!(std::process::Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+    // The shell's own `kill`: a minimal system has no program of that name.
+    let interrupt = format!("kill -INT {}", recorder.id());
+    assert!(std::process::Command::new("sh").args(["-c", &interrupt]).status().unwrap().success());
     assert!(recorder.wait().unwrap().success());
     let mut reader = BagReader::open(&bag).unwrap();
     let mut messages: BTreeMap<String, Vec<Vec<u8>>> = BTreeMap::new();
