@@ -52,6 +52,7 @@ struct Inner<A: RosAction> {
     goal_turn: Mutex<()>,
     result_turn: Mutex<()>,
     cancel_turn: Mutex<()>,
+    created: Instant,
     name: String,
     node: Node,
 }
@@ -84,6 +85,7 @@ impl Node {
                 goal_turn: Mutex::default(),
                 result_turn: Mutex::default(),
                 cancel_turn: Mutex::default(),
+                created: Instant::now(),
                 name,
                 node: self.clone(),
             }),
@@ -112,7 +114,7 @@ impl<A: RosAction> ActionClient<A> {
         for service in ["send_goal", "get_result"] {
             self.inner
                 .node
-                .wait_for_service(&self.service(service), end)
+                .wait_for_service(&self.service(service), self.inner.created, end)
                 .await
                 .map_err(|_| CallError::Unavailable(self.inner.name.clone()))?;
         }

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tdv_msgs::RosService;
 use tokio::sync::Mutex;
-use tokio::time::{Instant, timeout};
+use tokio::time::{Instant, timeout_at};
 
 /// How Fast DDS, the default middleware of ROS, lays services onto topics.
 pub(crate) const MAPPING: ServiceMapping = ServiceMapping::Enhanced;
@@ -63,7 +63,16 @@ impl Node {
     /// [`RuntimeError`].
     pub fn client<S: RosService>(&self, name: &str) -> Result<ServiceClient<S>, RuntimeError> {
         let name = self.resolve(name)?;
-        let client = self.with_ros("service client", &name, |ros, dds_name| {
+        let line = Mutex::new(Line { client: self.raw_client::<S>(&name)?, answered: false });
+        let (created, node) = (Instant::now(), self.clone());
+        Ok(ServiceClient { inner: Arc::new(Inner { line, created, name, node }) })
+    }
+
+    fn raw_client<S: RosService>(
+        &self,
+        name: &str,
+    ) -> Result<Client<S::Request, S::Response>, RuntimeError> {
+        self.with_ros("service client", name, |ros, dds_name| {
             ros.create_client::<S::Request, S::Response>(
                 MAPPING,
                 dds_name,
@@ -71,9 +80,6 @@ impl Node {
                 Qos::services().profile(),
                 Qos::services().profile(),
             )
-        })?;
-        Ok(ServiceClient {
-            inner: Arc::new(Inner { client: Mutex::new(client), name, node: self.clone() }),
         })
     }
 }
@@ -115,10 +121,21 @@ impl<S: RosService> Clone for ServiceClient<S> {
 
 struct Inner<S: RosService> {
     /// Two calls at once on one client would take each other's answers.
-    client: Mutex<Client<S::Request, S::Response>>,
+    line: Mutex<Line<S>>,
+    created: Instant,
     name: String,
     node: Node,
 }
+
+struct Line<S: RosService> {
+    client: Client<S::Request, S::Response>,
+    /// The server has discovered both of our ends: it answered once.
+    answered: bool,
+}
+
+/// A server that never answered yet gets the request again after this long: its middleware may have met
+/// our ends later than the request came.
+const FIRST_ANSWER: Duration = Duration::from_secs(3);
 
 impl<S: RosService> ServiceClient<S> {
     /// Name in the graph.
@@ -131,7 +148,8 @@ impl<S: RosService> ServiceClient<S> {
         self.inner.node.offers_service(&self.inner.name)
     }
 
-    /// Calls the service, waiting for it to appear first.
+    /// Calls the service, waiting for it to appear first. Until it has answered this client for the
+    /// first time, the request goes out again every 3 s, so it may be carried out more than once.
     ///
     /// # Errors
     /// [`CallError`]: after `patience` in all.
@@ -140,28 +158,35 @@ impl<S: RosService> ServiceClient<S> {
         request: S::Request,
         patience: Duration,
     ) -> Result<S::Response, CallError> {
-        let name = || self.inner.name.clone();
-        let middleware =
-            |e: String| CallError::Middleware { name: self.inner.name.clone(), reason: e };
+        let Inner { line, created, name, node } = &*self.inner;
+        let middleware = |e: String| CallError::Middleware { name: name.clone(), reason: e };
         let end = Instant::now() + patience;
-        self.inner.node.wait_for_service(&self.inner.name, end).await?;
-        let answer = async {
-            let client = self.inner.client.lock().await;
-            let id =
-                client.async_send_request(request).await.map_err(|e| middleware(e.to_string()))?;
-            client.async_receive_response(id).await.map_err(|e| middleware(e.to_string()))
-        };
-        let left = end.saturating_duration_since(Instant::now());
-        match timeout(left, answer).await {
-            Ok(result) => result,
-            Err(_) => Err(CallError::Timeout { name: name(), seconds: patience.as_secs_f64() }),
+        let late = || CallError::Timeout { name: name.clone(), seconds: patience.as_secs_f64() };
+        node.wait_for_service(name, *created, end).await?;
+        let mut line = timeout_at(end, line.lock()).await.map_err(|_| late())?;
+        loop {
+            let answer = async {
+                let id = line.client.async_send_request(request.clone()).await;
+                let id = id.map_err(|e| middleware(e.to_string()))?;
+                let answer = line.client.async_receive_response(id).await;
+                answer.map_err(|e| middleware(e.to_string()))
+            };
+            let again = if line.answered { end } else { end.min(Instant::now() + FIRST_ANSWER) };
+            if let Ok(result) = timeout_at(again, answer).await {
+                line.answered |= result.is_ok();
+                return result;
+            }
+            if Instant::now() >= end {
+                return Err(late());
+            }
+            tracing::debug!("service {name}: no answer yet, asking again");
         }
     }
 }
 
-/// Between the discovery of a service and the first call: the other side has to discover us too, or
-/// it would not send its answer to us.
-const SETTLE: Duration = Duration::from_millis(100);
+/// Between the moment when both sides are there and the first call: the other side has to discover us
+/// too, or it would neither take the request nor send its answer to us.
+const SETTLE: Duration = Duration::from_millis(400);
 
 impl Node {
     /// True when request and answer topics of the service have another end.
@@ -175,19 +200,22 @@ impl Node {
         has(&request, false) && has(&reply, true)
     }
 
-    pub(crate) async fn wait_for_service(&self, name: &str, end: Instant) -> Result<(), CallError> {
-        if self.offers_service(name) {
-            return Ok(());
-        }
-        loop {
+    /// Waits for a service that is called through ends made at `created`.
+    pub(crate) async fn wait_for_service(
+        &self,
+        name: &str,
+        created: Instant,
+        end: Instant,
+    ) -> Result<(), CallError> {
+        let mut settled = created + SETTLE;
+        while !self.offers_service(name) {
             if Instant::now() >= end {
                 return Err(CallError::Unavailable(name.into()));
             }
             tokio::time::sleep(Duration::from_millis(20)).await;
-            if self.offers_service(name) {
-                tokio::time::sleep(SETTLE).await;
-                return Ok(());
-            }
+            settled = Instant::now() + SETTLE;
         }
+        tokio::time::sleep_until(settled.min(end)).await;
+        Ok(())
     }
 }
