@@ -38,6 +38,11 @@ pub struct Limits {
     pub fingertip_clearance: f64,
     /// What palm, wrist and forearm keep above the table (m).
     pub link_clearance: f64,
+    /// Condition number of the Jacobian (lengths in units of 0.5 m) from which the arm slows down on its
+    /// way into a singularity.
+    pub singular_slow: f64,
+    /// Condition number beyond which it goes no further in.
+    pub singular_stop: f64,
     /// Every trajectory is at rest this long after it was sent (s); a little under 0.2, so that a stale
     /// plan (150 ms) and this and the way to the driver are within 350 ms together.
     pub rest_within: f64,
@@ -60,6 +65,8 @@ impl Default for Limits {
             table_z: 0.0,
             fingertip_clearance: 0.004,
             link_clearance: 0.02,
+            singular_slow: 60.0,
+            singular_stop: 250.0,
             rest_within: 0.18,
         }
     }
@@ -133,6 +140,8 @@ impl Limits {
         range("rest_within", self.rest_within, 0.03, 1.0);
         range("fingertip_clearance", self.fingertip_clearance, -0.01, 0.5);
         range("link_clearance", self.link_clearance, -0.01, 0.5);
+        range("singular_slow", self.singular_slow, 1.0, 1e6);
+        range("singular_stop", self.singular_stop, self.singular_slow, 1e9);
         for (name, r) in [
             ("workspace_x", self.workspace_x),
             ("workspace_y", self.workspace_y),

@@ -7,8 +7,8 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tdv_geometry::pose_distance;
 use tdv_robot::collision::fingertip_height;
-use tdv_robot::motion::{Plan, Requests, StatusCode as S};
-use tdv_robot::{ArmController, ControllerParams};
+use tdv_robot::motion::{ObjectPlace, Plan, Requests, StatusCode as S};
+use tdv_robot::{ArmController, ControllerParams, Desired};
 
 fn strict() -> Bench {
     let mut b = Bench::new(ControllerParams::default());
@@ -234,6 +234,94 @@ fn a_lost_object_is_noticed() {
 }
 
 #[test]
+fn an_object_that_slips_is_noticed_by_fingers_or_camera() {
+    let slips: [(&str, fn(&mut Bench)); 2] = [
+        ("fingers are 50.0 mm apart", |b| b.object = Some(0.050)),
+        ("camera sees it apart", |b| b.place = ObjectPlace::Apart),
+    ];
+    for (says, slip) in slips {
+        let mut b = lab();
+        b.run(7.0);
+        assert_eq!((b.last_code(), b.procedure), (S::Following, 1), "{}", b.last_sentence());
+        slip(&mut b);
+        b.run(0.3);
+        let early = b.last_code() == S::Recovering;
+        b.run(0.5);
+        assert_eq!(b.last_code(), S::Recovering, "{says}");
+        assert!(b.last_sentence().contains(says), "{}", b.last_sentence());
+        assert_eq!(early, b.place == ObjectPlace::Held, "the camera is given more time");
+        (b.object, b.place) = (Some(0.064), ObjectPlace::Held);
+        b.run(40.0);
+        assert_eq!(b.last_code(), S::Done, "{:?}", b.log.codes);
+    }
+    // A word from before the tracker knew of the grip, and one that does not last, mean nothing.
+    let mut b = lab();
+    b.run(7.0);
+    b.place = ObjectPlace::Apart;
+    b.run(0.3);
+    b.place = ObjectPlace::Unknown;
+    b.run(0.3);
+    b.place = ObjectPlace::Held;
+    b.run(40.0);
+    assert!(!b.log.codes.contains(&S::Recovering), "{:?}", b.log.codes);
+}
+
+#[test]
+fn a_silent_gripper_stops_the_arm_until_it_speaks() {
+    let mut b = lab();
+    b.run(7.0);
+    b.gripper_speaks = false;
+    b.run(1.2);
+    assert_eq!(b.last_code(), S::HoldGripper);
+    assert!(b.last_sentence().contains("no word of the gripper"), "{}", b.last_sentence());
+    assert_still(&mut b, 1.0);
+    b.gripper_speaks = true;
+    b.run(40.0);
+    assert_eq!(b.last_code(), S::Done, "{:?}", b.log.codes);
+    assert!(!b.log.codes.contains(&S::Recovering));
+}
+
+#[test]
+fn a_dry_run_shows_paths_from_where_the_arm_is_and_commands_nothing() {
+    let params = ControllerParams { auto_resume: true, dry_run: true, ..Default::default() };
+    let mut b = Bench::new(params);
+    let mut shown = 0;
+    for n in 0..500 {
+        b.input.requests.home = n == 400;
+        let q = b.q;
+        let out = b.tick().unwrap();
+        b.q = q; // a driver would not get the path
+        assert!(out.gripper.is_none() && out.status.sentence.starts_with("dry run: "));
+        if let Some(p) = out.trajectory {
+            shown += 1;
+            assert!((0..6).all(|i| (p.points[0].q[i] - q[i]).abs() < 0.02));
+        }
+    }
+    assert!(shown > 100, "{shown}");
+}
+
+#[test]
+fn the_arm_slows_down_into_a_singularity_and_goes_no_further() {
+    // To a pose with a stretched elbow, just within reach.
+    let mut b = lab();
+    let mut params = ControllerParams { auto_resume: true, ..Default::default() };
+    (params.limits.workspace_x, params.limits.workspace_z) = ([-2.0, 2.0], [0.0, 2.0]);
+    let stop = params.limits.singular_stop;
+    b.controller = ArmController::new(b.k.clone(), params).unwrap();
+    let stretched = b.k.fk_tcp(&[b.q[0], -0.9, 0.005, -0.7, b.q[4], b.q[5]]);
+    let inverse = b.references[0].inverse();
+    b.policies[0].path = path(b.policies[0].path[0], inverse * stretched, 0.0);
+    let mut worst: f64 = 0.0;
+    for _ in 0..1500 {
+        b.tick();
+        let d = b.executor.sample(b.now).unwrap_or(Desired { q: b.q, qd: [0.0; 6] });
+        worst = worst.max(b.k.dexterity(&d.q).condition);
+    }
+    println!("condition number at most {worst:.0}: {:?}", b.log.sentences.last());
+    assert!(worst > 100.0 && worst <= 1.02 * stop, "{worst}");
+}
+
+#[test]
 fn pause_resume_abort_reset_and_enable() {
     let mut b = lab();
     b.run(1.5);
@@ -247,10 +335,10 @@ fn pause_resume_abort_reset_and_enable() {
     b.input.requests.resume = true;
     b.run(0.5);
     assert_eq!(b.last_code(), S::Following);
-    b.input.enable = false;
+    b.input.disabled = Some("the program does not run".into());
     b.run(0.5);
     assert_eq!(b.last_code(), S::Disabled);
-    b.input.enable = true;
+    b.input.disabled = None;
     b.run(0.5);
     assert_eq!(b.last_code(), S::Following, "the lab goes on by itself");
     b.input.requests.abort = true;
@@ -392,7 +480,7 @@ fn chaos() {
                 home: r == 3,
                 abort: r == 4,
             };
-            b.input.enable = n % 700 != 0;
+            b.input.disabled = (n % 700 == 0).then(|| "dead-man switch".into());
             b.perceive = rng.random_range(0..100) != 0;
             if r == 5 {
                 b.object = None;

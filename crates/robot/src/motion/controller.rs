@@ -9,18 +9,14 @@ use super::types::{
 };
 use crate::collision::fingertip_height;
 use crate::gripper::KNUCKLE_CLOSED;
-use crate::kinematics::{JOINT_NAMES, Joints, Kinematics};
+use crate::kinematics::{Joints, Kinematics};
 use std::f64::consts::TAU;
 use tdv_geometry::{Pose, Stamp};
 
 /// A hold for a passing cause is not ended by `auto_resume` before this time (s).
 const LEAST_HOLD: f64 = 0.25;
 /// A speed scaling below this counts as a stopped robot.
-const STOPPED: f64 = 0.01;
-/// A measured joint slower than this stands still (rad/s).
-const STILL: f64 = 0.01;
-/// How long an arm may stand still away from its command (s).
-const STUCK_AFTER: f64 = 0.5;
+pub(super) const STOPPED: f64 = 0.01;
 
 /// The arm controller; call [`ArmController::step`] at the period `tick`.
 ///
@@ -40,21 +36,25 @@ pub struct ArmController {
     pub(super) gripped: Stamp,
     /// Since when the pads are closed on nothing while holding.
     pub(super) empty_since: Option<Stamp>,
+    /// Gap of the pads (m) at the grip.
+    pub(super) grip_gap: f64,
+    /// Since when the camera sees the object apart from the gripper while it should be held.
+    pub(super) apart_since: Option<Stamp>,
     pub(super) note: String,
     pub(super) reset_switch: bool,
     pub(super) gripper_request: Option<GripperRequest>,
-    hold: Option<Hold>,
+    pub(super) hold: Option<Hold>,
     held_since: Stamp,
-    commanded: Option<Commanded>,
+    pub(super) commanded: Option<Commanded>,
     refused: Option<(Stamp, String)>,
-    stuck_since: Option<Stamp>,
+    pub(super) stuck_since: Option<Stamp>,
     ticks: u64,
     last: Option<Stamp>,
 }
 
 /// The last trajectory sent and how far the driver is along it.
 #[derive(Debug, Clone)]
-struct Commanded {
+pub(super) struct Commanded {
     path: Projection,
     elapsed: f64,
 }
@@ -90,6 +90,8 @@ impl ArmController {
             gripper_id: 0,
             gripped: Stamp::default(),
             empty_since: None,
+            grip_gap: 0.0,
+            apart_since: None,
             note: String::new(),
             reset_switch: false,
             gripper_request: None,
@@ -136,7 +138,7 @@ impl ArmController {
             c.elapsed += dt;
         }
         let joints = input.joints.filter(|j| self.joints_usable(j, now));
-        if let (None, Some(j)) = (&self.commanded, &joints) {
+        if let (true, Some(j)) = (self.commanded.is_none() || self.params.dry_run, &joints) {
             self.seed(j.q);
         }
         if self.commanded.is_none() {
@@ -237,79 +239,6 @@ impl ArmController {
         }
     }
 
-    fn guards(
-        &mut self,
-        now: Stamp,
-        input: &ControllerInput,
-        joints: Option<&JointState>,
-        scaling: f64,
-    ) {
-        let ready = self.hold.as_ref().is_some_and(|h| h.cause == Cause::Ready);
-        if ready {
-            return;
-        }
-        if input.enable && scaling >= STOPPED {
-            self.enabled_again();
-        }
-        if !input.enable {
-            self.hold(now, Cause::Disabled, "not enabled: driver, safety or operator".into());
-        } else if scaling < STOPPED {
-            let text = format!("speed scaling is {scaling:.2}: the robot is stopped or paused");
-            self.hold(now, Cause::Disabled, text);
-        } else if let Some(j) = joints {
-            if self.hold.is_none() {
-                self.watch_following(now, j);
-            }
-        } else if self.hold.as_ref().is_none_or(|h| h.cause == Cause::Joints) {
-            let text = match &input.joints {
-                Some(j) => format!(
-                    "no usable joint state for {:.2} s: is the driver alive?",
-                    now.since(j.stamp)
-                ),
-                None => "no joint state: is the driver alive?".into(),
-            };
-            let first = self.hold.is_none();
-            if first {
-                self.hold(now, Cause::Joints, text);
-            } else if let Some(h) = &mut self.hold {
-                h.sentence = text;
-            }
-        }
-    }
-
-    /// What is said of a hold whose cause is gone.
-    fn enabled_again(&mut self) {
-        if let Some(h) = self.hold.as_mut().filter(|h| h.cause == Cause::Disabled) {
-            h.sentence = "enabled again after a stop".into();
-        }
-    }
-
-    /// Holds when the arm is too far from its command, or stands still a little way from it.
-    fn watch_following(&mut self, now: Stamp, j: &JointState) {
-        let Some(c) = self.commanded_state() else { return };
-        let error = |i: usize| (c.q[i] - j.q[i]).abs();
-        let worst = (0..6).max_by(|a, b| error(*a).total_cmp(&error(*b))).unwrap_or(0);
-        let (apart, name) = (error(worst), JOINT_NAMES[worst]);
-        let still = law::max_abs(&j.qd) < STILL && apart > 2.0 * self.params.reseed_threshold;
-        let since = if still { *self.stuck_since.get_or_insert(now) } else { now };
-        if !still {
-            self.stuck_since = None;
-        }
-        let allowed = self.params.max_following_error;
-        if apart > allowed {
-            let text = format!(
-                "{name} is {apart:.3} rad from its command, {allowed:.3} is allowed: the arm does not follow"
-            );
-            self.hold(now, Cause::Joints, text);
-        } else if now.since(since) > STUCK_AFTER {
-            self.stuck_since = None;
-            let text = format!(
-                "{name} stands still {apart:.3} rad from its command: the arm does not follow"
-            );
-            self.hold(now, Cause::Joints, text);
-        }
-    }
-
     /// Ends a hold on request, or by itself when that is allowed and the cause is gone.
     fn try_resume(&mut self, now: Stamp, input: &ControllerInput, joints: Option<&JointState>) {
         let Some(h) = &self.hold else { return };
@@ -327,7 +256,10 @@ impl ArmController {
                 Cause::Stale => fresh(),
                 _ => now.since(self.held_since) >= LEAST_HOLD,
             };
-        if !(asked || by_itself) || !input.enable || !(input.speed_scaling >= STOPPED) {
+        let may = input.disabled.is_none()
+            && input.speed_scaling >= STOPPED
+            && self.gripper_silence(now, input).is_none();
+        if !(asked || by_itself) || !may {
             return;
         }
         let Some(j) = joints else { return };
@@ -436,9 +368,14 @@ impl ArmController {
             (None, None, None) => self.describe(now),
         };
         let moving = self.commanded_state().is_some_and(|s| law::max_abs(&s.qd) > 1e-3);
+        let gripper = self.gripper_request.take();
+        let (gripper, sentence) = match self.params.dry_run {
+            true => (None, format!("dry run: {sentence}")),
+            false => (gripper, sentence),
+        };
         ControllerOutput {
             trajectory,
-            gripper: self.gripper_request.take(),
+            gripper,
             reset_switch: self.reset_switch,
             status: Status {
                 code,

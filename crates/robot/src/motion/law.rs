@@ -54,7 +54,8 @@ pub(super) fn step(
         let approach = (gains.position * e.abs()).min((a_max * e.abs()).sqrt());
         qd[i] + approach.copysign(e)
     });
-    let scale = velocity_scale(k, limits, &s.q, &v_ref);
+    let scale =
+        velocity_scale(k, limits, &s.q, &v_ref) * singularity_scale(k, limits, &s.q, &v_ref);
     v_ref.iter_mut().for_each(|v| *v *= scale);
     let mut a: Joints = std::array::from_fn(|i| gains.velocity * (v_ref[i] - s.qd[i]));
     let worst = max_abs(&a);
@@ -79,6 +80,24 @@ fn velocity_scale(k: &Kinematics, limits: &Limits, q: &Joints, v: &Joints) -> f6
         .max(linear / limits.tcp_speed)
         .max(angular / limits.tcp_angular_speed);
     if over > MARGIN { MARGIN / over } else { 1.0 }
+}
+
+/// Factor (at most 1) that slows the way into a singularity: falling from 1 at `singular_slow` to a
+/// creep at `singular_stop`; the way out is free.
+fn singularity_scale(k: &Kinematics, limits: &Limits, q: &Joints, v: &Joints) -> f64 {
+    /// Look-ahead (s) that tells in from out.
+    const AHEAD: f64 = 0.02;
+    const CREEP: f64 = 0.1;
+    let here = k.dexterity(q).condition;
+    if here <= limits.singular_slow {
+        return 1.0;
+    }
+    let next = std::array::from_fn(|i| q[i] + v[i] * AHEAD);
+    if k.dexterity(&next).condition <= here {
+        return 1.0;
+    }
+    let (slow, stop) = (1.0 / limits.singular_slow, 1.0 / limits.singular_stop);
+    ((1.0 / here - stop) / (slow - stop)).max(CREEP)
 }
 
 /// State `t` seconds into a stop of `total` seconds from `s`: the velocity falls along

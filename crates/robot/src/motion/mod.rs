@@ -2,6 +2,7 @@
 //! rest, the gripper, and the order of a pick-and-place task. Pure: time comes in as an argument.
 
 mod controller;
+mod guards;
 mod hold;
 mod law;
 mod params;
@@ -16,5 +17,6 @@ pub use plan::PlanError;
 pub use projection::Refusal;
 pub use types::{
     Attach, ControllerInput, ControllerOutput, GripperFeedback, GripperRequest, JointPath,
-    JointState, Moving, PathPoint, Plan, ProcedureState, Requests, Status, StatusCode,
+    JointState, Moving, ObjectPlace, ObjectReport, PathPoint, Plan, ProcedureState, Requests,
+    Status, StatusCode,
 };

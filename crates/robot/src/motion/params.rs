@@ -27,6 +27,12 @@ pub struct GripParams {
     pub dwell: f64,
     /// Pads closed for longer than this (s) while holding: the object is lost.
     pub lost_after: f64,
+    /// Pads that have come nearer to each other by this (m) since the grip hold the object no more.
+    pub slip_gap: f64,
+    /// An object that the camera sees apart from the gripper for longer than this (s) has slipped out.
+    pub slip_after: f64,
+    /// Without a word of the gripper for longer than this (s) the arm holds.
+    pub feedback_timeout: f64,
 }
 
 impl Default for GripParams {
@@ -42,6 +48,9 @@ impl Default for GripParams {
             settle: 0.12,
             dwell: 0.4,
             lost_after: 0.15,
+            slip_gap: 0.008,
+            slip_after: 0.4,
+            feedback_timeout: 0.6,
         }
     }
 }
@@ -89,6 +98,8 @@ pub struct ControllerParams {
     pub velocity_gain: f64,
     /// A plan below the table's clearance by at most this (m) slides along it; deeper is refused.
     pub table_slide: f64,
+    /// Everything but motion: paths are made from where the arm is and shown, nothing is commanded.
+    pub dry_run: bool,
     /// After a stop go on by itself once the cause is gone; for the lab only.
     pub auto_resume: bool,
     /// The first procedure that moves an object: on its start the gripper closes.
@@ -128,6 +139,7 @@ impl Default for ControllerParams {
             position_gain: 8.0,
             velocity_gain: 32.0,
             table_slide: 0.010,
+            dry_run: false,
             auto_resume: false,
             grasp_procedure: 1,
             grip: GripParams::default(),
@@ -176,6 +188,9 @@ impl ControllerParams {
         range("grip.open_timeout", self.grip.open_timeout, 0.1, 30.0);
         range("grip.settle", self.grip.settle, 0.0, 5.0);
         range("grip.dwell", self.grip.dwell, 0.0, 10.0);
+        range("grip.slip_gap", self.grip.slip_gap, 0.001, 0.085);
+        range("grip.slip_after", self.grip.slip_after, 0.05, 10.0);
+        range("grip.feedback_timeout", self.grip.feedback_timeout, 0.05, 10.0);
         range("release_dwell", self.release_dwell, 0.0, 10.0);
         range("retreat_distance", self.retreat_distance, 0.0, 0.3);
         range("retreat_speed", self.retreat_speed, 0.01, self.limits.tcp_speed);

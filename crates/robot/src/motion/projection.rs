@@ -46,6 +46,16 @@ pub enum Refusal {
         /// Rad.
         upper: f64,
     },
+    /// The path goes too far into a singularity.
+    #[error(
+        "the arm would come to a condition number of {condition:.0}, {limit:.0} is allowed: too near a singularity"
+    )]
+    Singular {
+        /// Of the Jacobian, see [`crate::kinematics::Dexterity`].
+        condition: f64,
+        /// The limit.
+        limit: f64,
+    },
     /// The law itself broke a speed limit.
     #[error("{what} would be {value:.3}, {limit:.3} is the limit")]
     Speed {
@@ -208,6 +218,11 @@ fn check(k: &Kinematics, p: &ControllerParams, path: &Projection) -> Result<(), 
         if n % 2 == 1 || n >= path.states.len() - 1 {
             check_clearance(k, &s.q, l)?;
         }
+    }
+    let condition = k.dexterity(&path.sample(path.duration()).q).condition;
+    let limit = l.singular_stop;
+    if condition > limit && condition > k.dexterity(&path.states[0].q).condition {
+        return Err(Refusal::Singular { condition, limit });
     }
     Ok(())
 }

@@ -2,7 +2,9 @@
 
 use super::controller::{ArmController, Motion};
 use super::hold::Cause;
-use super::types::{ControllerInput, GripperFeedback, GripperRequest, ProcedureState, StatusCode};
+use super::types::{
+    ControllerInput, GripperFeedback, GripperRequest, ObjectPlace, ProcedureState, StatusCode,
+};
 use crate::gripper::gap_from_knuckle;
 use crate::kinematics::Joints;
 use tdv_geometry::{Pose, Stamp, pose_distance};
@@ -13,6 +15,8 @@ const PEAK: f64 = 1.875;
 const SCRIPT_PATIENCE: f64 = 3.0;
 /// Duration of the shortest scripted path (s).
 const LEAST_DURATION: f64 = 0.2;
+/// The tracker knows of a grip this long (s) after it.
+const NOTICED: f64 = 0.2;
 /// The switch policy is asked again after this time (s).
 const ASK_AGAIN: f64 = 1.0;
 
@@ -285,7 +289,8 @@ impl ArmController {
             Answer::Contact => {
                 self.held = true;
                 self.gripped = now;
-                self.empty_since = None;
+                self.grip_gap = input.gripper.map_or(0.0, |g| gap_from_knuckle(g.knuckle));
+                (self.empty_since, self.apart_since) = (None, None);
                 self.phase = Phase::AwaitAttach { since: now };
             }
             Answer::Empty(why) => self.recover(format!("grip failed: {why}")),
@@ -358,19 +363,27 @@ impl ArmController {
         self.phase = Phase::Open { purpose: Purpose::Recover, sent: None };
     }
 
-    /// True (and recovery begins) when the pads have been together for too long while holding.
+    /// True (and recovery begins) when the fingers or the camera have said for long enough that the
+    /// object is held no more.
     fn object_lost(&mut self, now: Stamp, input: &ControllerInput) -> bool {
-        let Some(g) = input.gripper else { return false };
-        let gap = gap_from_knuckle(g.knuckle);
-        if gap > self.params.grip.min_gap {
-            self.empty_since = None;
+        let grip = &self.params.grip;
+        let gap = input.gripper.map(|g| gap_from_knuckle(g.knuckle));
+        let least = grip.min_gap.max(self.grip_gap - grip.slip_gap);
+        let empty = gap.is_some_and(|gap| gap <= least);
+        let word = input.object.filter(|o| o.stamp >= self.gripped.plus(NOTICED));
+        let apart = word.is_some_and(|o| o.place == ObjectPlace::Apart);
+        let since = |was: Option<Stamp>, is: bool| is.then(|| was.unwrap_or(now));
+        self.empty_since = since(self.empty_since, empty);
+        self.apart_since = since(self.apart_since, apart);
+        let lasts = |since: Option<Stamp>, limit: f64| since.is_some_and(|t| now.since(t) >= limit);
+        if lasts(self.empty_since, grip.lost_after) {
+            let gap = gap.unwrap_or(0.0) * 1e3;
+            self.recover(format!("object lost: the fingers are {gap:.1} mm apart"));
+        } else if lasts(self.apart_since, grip.slip_after) {
+            self.recover("object lost: the camera sees it apart from the gripper".into());
+        } else {
             return false;
         }
-        let since = *self.empty_since.get_or_insert(now);
-        if now.since(since) < self.params.grip.lost_after {
-            return false;
-        }
-        self.recover(format!("object lost: the fingers are {:.1} mm apart", gap * 1e3));
         true
     }
 

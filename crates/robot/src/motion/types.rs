@@ -61,9 +61,31 @@ pub struct Attach {
     pub pose: Pose,
 }
 
+/// What the tracker says of the object that is to be held.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ObjectReport {
+    /// Of the frame it derives from.
+    pub stamp: Stamp,
+    /// Where the object is.
+    pub place: ObjectPlace,
+}
+
+/// Where the tracker believes the object to be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ObjectPlace {
+    /// In the gripper.
+    Held,
+    /// Elsewhere: the camera sees it.
+    Apart,
+    /// Not known.
+    Unknown,
+}
+
 /// Newest state of the gripper.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GripperFeedback {
+    /// When the knuckle angle was measured.
+    pub stamp: Stamp,
     /// Id of the [`GripperRequest`] that `stalled` and `reached` answer; `None` before the first.
     pub command: Option<u32>,
     /// Knuckle angle (rad), always the newest.
@@ -100,10 +122,13 @@ pub struct ControllerInput {
     pub procedure: Option<ProcedureState>,
     /// Newest attachment.
     pub attach: Option<Attach>,
+    /// Newest word of the tracker on the object.
+    pub object: Option<ObjectReport>,
     /// Newest gripper state.
     pub gripper: Option<GripperFeedback>,
-    /// False stops the motion (dead-man switch, driver not ready, protective stop).
-    pub enable: bool,
+    /// Why the arm may not move, in words (dead-man switch, driver not ready, protective stop); none
+    /// when it may.
+    pub disabled: Option<String>,
     /// Factor 0..=1 by which the driver stretches time; 1 when it does not say.
     pub speed_scaling: f64,
     /// Edges.
@@ -117,8 +142,9 @@ impl Default for ControllerInput {
             plan: None,
             procedure: None,
             attach: None,
+            object: None,
             gripper: None,
-            enable: true,
+            disabled: None,
             speed_scaling: 1.0,
             requests: Requests::default(),
         }
@@ -238,7 +264,7 @@ pub struct Status {
 /// What [`super::ArmController::step`] wants done.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ControllerOutput {
-    /// To the joint trajectory topic.
+    /// To the joint trajectory topic; with [`super::ControllerParams::dry_run`] it is only shown.
     pub trajectory: Option<JointPath>,
     /// To the gripper action.
     pub gripper: Option<GripperRequest>,

@@ -119,6 +119,10 @@ pub struct Bench {
     /// The switch policy lives.
     pub decide: bool,
     pub alive: bool,
+    /// The gripper's state is known.
+    pub gripper_speaks: bool,
+    /// Where the tracker says that the object is.
+    pub place: ObjectPlace,
     /// Whether the driver is told the trajectories' start, or starts on arrival.
     pub stamped: bool,
     pub guard: Option<TargetGuard>,
@@ -173,6 +177,8 @@ impl Bench {
             perceive: true,
             decide: true,
             alive: true,
+            gripper_speaks: true,
+            place: ObjectPlace::Held,
             stamped: false,
             guard: Some(TargetGuard::new(&Limits::default())),
             tamper: None,
@@ -289,6 +295,7 @@ impl Bench {
 
     fn gripper(&mut self) {
         let mut feedback = GripperFeedback {
+            stamp: self.now,
             command: None,
             knuckle: self.knuckle,
             stalled: false,
@@ -300,13 +307,17 @@ impl Bench {
             let free = self.knuckle + step;
             self.knuckle = if step > 0.0 { free.min(stop.max(self.knuckle)) } else { free };
             feedback = GripperFeedback {
+                stamp: self.now,
                 command: Some(c.id),
                 knuckle: self.knuckle,
                 stalled: step > 1e-6 && self.knuckle < free - 1e-9,
                 reached: (self.knuckle - c.position).abs() < 0.02,
             };
         }
-        self.input.gripper = Some(feedback);
+        if self.gripper_speaks {
+            self.input.gripper = Some(feedback);
+        }
+        self.input.object = Some(ObjectReport { stamp: self.now, place: self.place });
     }
 
     fn record(&mut self, out: &ControllerOutput) {
