@@ -1,6 +1,8 @@
-//! Displaces an object once, in the middle of a run: what a closed loop has to survive.
+//! What a closed loop has to survive: an object displaced in the middle of a run, or lost on the way.
 
+use crate::draw::{Stream, rng};
 use crate::{Lab, SimulationError};
+use rand::Rng;
 use tdv_geometry::pose_distance;
 
 /// Which object is displaced, and when.
@@ -70,5 +72,46 @@ impl Disturbance {
         let by = lab.disturb(&name, self.seed)?;
         self.done = true;
         Ok(Some((name, by)))
+    }
+}
+
+/// Lets the moving object slip out of the gripper once, soon after it was lifted.
+#[derive(Debug, Clone)]
+pub struct ForcedDrop {
+    height: f64,
+    done: bool,
+}
+
+/// Heights above the table (m) at which the grip fails.
+const DROP_HEIGHTS: std::ops::Range<f64> = 0.02..0.06;
+/// How long the pads do not grip (s).
+const SLIPPERY: f64 = 0.5;
+
+impl ForcedDrop {
+    /// At a height drawn from the seed.
+    pub fn new(seed: u64) -> Self {
+        Self { height: rng(seed, Stream::Disturbance).random_range(DROP_HEIGHTS), done: false }
+    }
+
+    /// Whether it has happened.
+    pub fn is_done(&self) -> bool {
+        self.done
+    }
+
+    /// Call after every tick. True when the grip fails now.
+    ///
+    /// # Errors
+    /// [`SimulationError::UnknownObject`] when the scene's task names an object that it does not have.
+    pub fn step(&mut self, lab: &mut Lab) -> Result<bool, SimulationError> {
+        if self.done {
+            return Ok(false);
+        }
+        let moving = lab.scene().task.moving.clone();
+        if !lab.held(&moving)? || lab.object_pose(&moving)?.translation.z < self.height {
+            return Ok(false);
+        }
+        lab.make_slippery(SLIPPERY);
+        self.done = true;
+        Ok(true)
     }
 }

@@ -182,6 +182,15 @@ impl World {
         self.drive = drive;
     }
 
+    /// Makes the pads' friction `share` times what it is configured to be.
+    pub fn set_pad_grip(&mut self, share: f64) {
+        for finger in &self.fingers {
+            if let Some(pad) = self.physics.colliders.get_mut(finger.colliders[0]) {
+                pad.set_friction((self.config.pad_friction * share.max(0.0)) as f32);
+            }
+        }
+    }
+
     /// One tick: the arm goes to the joint angles `q` (rad) within it.
     pub fn step(&mut self, q: &[f64; 6]) {
         for (handle, pose) in self.frames.iter().zip(arm::link_frames(q)) {

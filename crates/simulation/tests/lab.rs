@@ -9,6 +9,7 @@ use std::sync::Arc;
 use tdv_geometry::{Pose, smooth_step, yaw_of};
 use tdv_robot::{IkSelection, Kinematics};
 use tdv_simulation::controller::{ServoInputs, StopReason};
+use tdv_simulation::disturbance::ForcedDrop;
 use tdv_simulation::gripper::{Activation, GripperRequest, ObjectStatus};
 use tdv_simulation::trial::PlacingGoal;
 use tdv_simulation::world::DT;
@@ -40,6 +41,7 @@ struct Script {
     slop: [f64; 4],
     /// Height of the grasp over the object's underside, thickness of the reference, m.
     heights: [f64; 2],
+    drop: Option<ForcedDrop>,
 }
 
 impl Script {
@@ -58,6 +60,7 @@ impl Script {
             ticks: 0,
             slop: [0.0; 4],
             heights: [0.058, 0.008],
+            drop: None,
         };
         s.lab.set_gripper_request(request);
         while s.lab.gripper_status().activation != Activation::Active {
@@ -77,6 +80,9 @@ impl Script {
         }
         self.ticks += 1;
         self.lab.step();
+        if let Some(drop) = &mut self.drop {
+            drop.step(&mut self.lab).unwrap();
+        }
     }
 
     fn wait(&mut self, seconds: f64) {
@@ -279,4 +285,25 @@ fn the_lab_is_deterministic_and_seeds_differ() {
     let first = run(1);
     assert_eq!(first, run(1));
     assert_ne!(first, run(2));
+}
+
+#[test]
+fn a_forced_drop_loses_the_mug_once_and_leaves_it_standing_mostly() {
+    let (mut dropped, mut standing) = (0, 0);
+    let assets = assets();
+    for seed in 1..=10 {
+        let mut lab = Lab::from_assets(assets.clone(), seed).unwrap();
+        let goal = PlacingGoal { offset: [0.0, 0.0], yaw: 0.0 };
+        lab.begin_trial(goal).unwrap();
+        let mut script = Script::new(lab);
+        script.drop = Some(ForcedDrop::new(seed));
+        script.pick_and_place(goal, |_| {});
+        dropped += usize::from(script.drop.as_ref().is_some_and(ForcedDrop::is_done));
+        let up =
+            script.lab.object_pose("mug").unwrap().rotation * tdv_geometry::nalgebra::Vector3::z();
+        standing += usize::from(up.z > 0.98);
+        assert!(!script.lab.held("mug").unwrap());
+    }
+    println!("{dropped} dropped, {standing} standing");
+    assert!(dropped >= 9 && standing >= 8, "{dropped} dropped, {standing} standing");
 }

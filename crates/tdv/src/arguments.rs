@@ -155,6 +155,12 @@ pub struct ClosedLoopArgs {
     /// Displace the object or its target by 5 to 10 cm in mid-run
     #[arg(long)]
     pub disturb: bool,
+    /// The grip fails once, soon after the lift
+    #[arg(long)]
+    pub drop: bool,
+    /// Command that is started instead of our driver, in a shell; an imitation or the official one
+    #[arg(long)]
+    pub driver: Option<String>,
     /// Control: perception repeats its first result for ever
     #[arg(long)]
     pub freeze_perception: bool,

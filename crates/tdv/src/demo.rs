@@ -22,6 +22,8 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<bool> {
         json: Some(args.run.join("result.json")),
         model: Some(model),
         disturb: false,
+        drop: false,
+        driver: None,
         freeze_perception: false,
         untrained: false,
         open_loop: false,

@@ -52,7 +52,7 @@ pub fn closed_loop(args: &ClosedLoopArgs) -> anyhow::Result<bool> {
             trial.duration_s,
             trial.reason
         );
-        if !trial.success || args.kill.is_some() {
+        if !trial.success || args.kill.is_some() || args.drop {
             for line in &outcome.story {
                 println!("    {line}");
             }
@@ -107,6 +107,7 @@ fn condition(args: &ClosedLoopArgs) -> String {
     let mut parts = Vec::new();
     for (on, name) in [
         (args.disturb, "displaced in mid-run"),
+        (args.drop, "grip fails once"),
         (args.freeze_perception, "perception frozen"),
         (args.untrained, "untrained network"),
         (args.open_loop, "open-loop replay"),
@@ -115,6 +116,9 @@ fn condition(args: &ClosedLoopArgs) -> String {
         if on {
             parts.push(name);
         }
+    }
+    if args.driver.is_some() {
+        parts.push("another driver");
     }
     parts.extend(killed.as_deref());
     if args.kill_carrying {
@@ -154,6 +158,8 @@ fn setup(
         .collect();
     set("mesh_scales", format!("[{}]", scales.join(", ")));
     set("disturb", args.disturb.to_string());
+    set("drop", args.drop.to_string());
+    set("driver", args.driver.is_none().to_string());
     set("freeze_perception", args.freeze_perception.to_string());
     set("untrained", args.untrained.to_string());
     set("open_loop", args.open_loop.to_string());
@@ -171,6 +177,7 @@ fn setup(
             "each" => NODES[(seed - args.seed) as usize % NODES.len()].to_owned(),
             _ => name.clone(),
         }),
+        driver: args.driver.clone(),
         bag: args.bag.then(|| args.run.join(format!("trial_{seed}"))),
     }
 }

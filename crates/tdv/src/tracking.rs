@@ -114,6 +114,7 @@ fn live(args: &TrackingArgs, sequence: &Sequence) -> anyhow::Result<TrackingRepo
         pictures: false,
         kill: None,
         kill_carrying: false,
+        driver: None,
         bag: None,
     };
     let outcome = run_replay(&setup, &shutdown_on_signals()?)?;

@@ -6,7 +6,7 @@ use tdv_msgs::tdv_msgs::msg::{PoseTrajectory, TrackedObject, TrackedObjects};
 use tdv_msgs::trajectory_msgs::msg::{JointTrajectory, JointTrajectoryPoint};
 use tdv_robot::JOINT_NAMES;
 use tdv_robot::gripper::KNUCKLE_JOINT;
-use tdv_robot::motion::{Attach, JointPath, JointState, Moving, Plan};
+use tdv_robot::motion::{Attach, JointPath, JointState, Moving, ObjectPlace, ObjectReport, Plan};
 use tdv_runtime::tracked;
 
 /// The arm's joints (rad, UR order), found by name; none when one is missing or no number.
@@ -67,10 +67,22 @@ pub fn attach(m: &TrackedObjects) -> Option<Attach> {
     Some(Attach { stamp: tracked::stamp(&m.header), pose: tcp.inverse() * object })
 }
 
-/// A path as the joint trajectory controller takes it: a zero stamp starts it at once.
-pub fn trajectory(path: &JointPath) -> JointTrajectory {
+/// What the tracker says of the object `name`; none when it says nothing.
+pub fn report(m: &TrackedObjects, name: &str) -> Option<ObjectReport> {
+    let object = m.objects.iter().find(|o| o.name == name)?;
+    let place = match object.state {
+        TrackedObject::HELD => ObjectPlace::Held,
+        TrackedObject::TRACKING => ObjectPlace::Apart,
+        _ => ObjectPlace::Unknown,
+    };
+    Some(ObjectReport { stamp: tracked::stamp(&m.header), place })
+}
+
+/// A path as the joint trajectory controller takes it: without its stamp it starts on arrival.
+pub fn trajectory(path: &JointPath, stamped: bool) -> JointTrajectory {
+    let begin = if stamped { path.stamp } else { Stamp(0) };
     JointTrajectory {
-        header: tracked::header_in(Stamp(0), ""),
+        header: tracked::header_in(begin, ""),
         joint_names: JOINT_NAMES.map(String::from).to_vec(),
         points: path
             .points

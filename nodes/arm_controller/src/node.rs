@@ -1,12 +1,15 @@
+use crate::controllers::ControllerWatch;
 use crate::inputs;
-use crate::params::ArmParameters;
+use crate::params::{ArmParameters, Command};
+use crate::permissions::Permissions;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tdv_geometry::Stamp;
 use tdv_msgs::control_msgs::action::{GripperCommand, GripperCommandGoal};
 use tdv_msgs::sensor_msgs::msg::JointState;
-use tdv_msgs::std_msgs::msg::{Bool, Float64};
+use tdv_msgs::std_msgs::msg::{Bool, Float64, Float64MultiArray};
 use tdv_msgs::std_srvs::srv::{Trigger, TriggerRequest, TriggerResponse};
 use tdv_msgs::tdv_msgs::msg::{ControllerStatus, PoseTrajectory, Procedure, TrackedObjects};
 use tdv_msgs::trajectory_msgs::msg::JointTrajectory;
@@ -21,12 +24,20 @@ const ACTION_PATIENCE: Duration = Duration::from_secs(8);
 
 type SharedInput = Arc<Mutex<ControllerInput>>;
 
+/// Where the motion goes.
+enum Output {
+    /// Trajectories, with their stamp or to be started on arrival.
+    Trajectory(Publisher<JointTrajectory>, bool),
+    Positions(Publisher<Float64MultiArray>),
+}
+
 struct Loop {
     node: Node,
     core: ArmController,
     input: SharedInput,
     runtime: Handle,
-    trajectory: Publisher<JointTrajectory>,
+    output: Output,
+    permissions: Permissions,
     status: Publisher<ControllerStatus>,
     gripper: ActionClient<GripperCommand>,
     switch_reset: ServiceClient<Trigger>,
@@ -48,22 +59,25 @@ pub async fn control(node: Node, params: Params<ArmParameters>) -> anyhow::Resul
     let kinematics = if p.robot == "ur5e" { Kinematics::ur5e() } else { Kinematics::ur5() };
     let core = ArmController::new(kinematics, p.control.clone())
         .map_err(|problems| anyhow::anyhow!("{}", problems.join("; ")))?;
-    let input: SharedInput = Arc::new(Mutex::new(ControllerInput {
-        enable: !p.require_program,
-        ..ControllerInput::default()
-    }));
-    subscribe_robot(&node, &p, &input)?;
+    let input: SharedInput = Arc::default();
+    let permissions = permissions(&node, &p)?;
+    let take = Arc::new(AtomicBool::new(false));
+    if !p.controller_manager.is_empty() {
+        let (granted, always) = (permissions.clone(), p.control.auto_resume);
+        let (manager, name) = (&p.controller_manager, p.motion_controller());
+        let watch = ControllerWatch::new(&node, manager, name, granted, take.clone(), always)?;
+        node.spawn("controller watch", watch.watch());
+    }
+    subscribe_robot(&node, &input)?;
     subscribe_task(&node, &p, &input)?;
-    serve_requests(&node, &input)?;
+    serve_requests(&node, &input, &take)?;
     let tick = Duration::from_secs_f64(p.control.tick);
     let control = Loop {
         core,
         input,
         runtime: Handle::current(),
-        trajectory: node.publisher(
-            &format!("/{}/joint_trajectory", p.trajectory_controller),
-            Qos::reliable(1),
-        )?,
+        output: output(&node, &p)?,
+        permissions,
         status: node.publisher("/arm_controller/status", Qos::latched())?,
         gripper: node.action_client(&format!("/{}/gripper_cmd", p.gripper_controller))?,
         switch_reset: node.client("/switch_policy/reset")?,
@@ -75,7 +89,43 @@ pub async fn control(node: Node, params: Params<ArmParameters>) -> anyhow::Resul
     Ok(())
 }
 
-fn subscribe_robot(node: &Node, p: &ArmParameters, input: &SharedInput) -> anyhow::Result<()> {
+fn output(node: &Node, p: &ArmParameters) -> anyhow::Result<Output> {
+    Ok(match (p.control.dry_run, p.command) {
+        (true, _) => Output::Trajectory(
+            node.publisher("~/dry_run/joint_trajectory", Qos::reliable(1))?,
+            p.stamp_trajectories,
+        ),
+        (false, Command::Trajectory) => {
+            let topic = format!("/{}/joint_trajectory", p.trajectory_controller);
+            Output::Trajectory(node.publisher(&topic, Qos::reliable(1))?, p.stamp_trajectories)
+        }
+        (false, Command::ForwardPosition) => {
+            let topic = format!("/{}/commands", p.forward_controller);
+            Output::Positions(node.publisher(&topic, Qos::reliable(1))?)
+        }
+    })
+}
+
+fn permissions(node: &Node, p: &ArmParameters) -> anyhow::Result<Permissions> {
+    let permissions = Permissions::new(
+        p.require_program,
+        !p.enable_topic.is_empty(),
+        !p.controller_manager.is_empty(),
+        Duration::from_secs_f64(p.enable_timeout),
+    );
+    if p.require_program {
+        let given = permissions.clone();
+        let topic = "/io_and_status_controller/robot_program_running";
+        node.subscribe(topic, Qos::latched(), move |m: Bool| given.program(m.data))?;
+    }
+    if !p.enable_topic.is_empty() {
+        let given = permissions.clone();
+        node.subscribe(&p.enable_topic, Qos::best_effort(1), move |m: Bool| given.switch(m.data))?;
+    }
+    Ok(permissions)
+}
+
+fn subscribe_robot(node: &Node, input: &SharedInput) -> anyhow::Result<()> {
     let shared = input.clone();
     node.subscribe("/joint_states", Qos::best_effort(10), move |m: JointState| {
         with(&shared, |i| {
@@ -83,21 +133,18 @@ fn subscribe_robot(node: &Node, p: &ArmParameters, input: &SharedInput) -> anyho
                 i.joints = Some(joints);
             }
             if let Some(knuckle) = inputs::knuckle(&m) {
+                let stamp = tracked::stamp(&m.header);
                 let old = i.gripper.unwrap_or(GripperFeedback {
+                    stamp,
                     command: None,
                     knuckle,
                     stalled: false,
                     reached: false,
                 });
-                i.gripper = Some(GripperFeedback { knuckle, ..old });
+                i.gripper = Some(GripperFeedback { stamp, knuckle, ..old });
             }
         });
     })?;
-    if p.require_program {
-        let shared = input.clone();
-        let topic = "/io_and_status_controller/robot_program_running";
-        node.subscribe(topic, Qos::latched(), move |m: Bool| with(&shared, |i| i.enable = m.data))?;
-    }
     let shared = input.clone();
     let topic = "/speed_scaling_state_broadcaster/speed_scaling";
     node.subscribe(topic, Qos::best_effort(1), move |m: Float64| {
@@ -110,9 +157,17 @@ fn subscribe_robot(node: &Node, p: &ArmParameters, input: &SharedInput) -> anyho
 
 fn subscribe_task(node: &Node, p: &ArmParameters, input: &SharedInput) -> anyhow::Result<()> {
     let (shared, offset) = (input.clone(), p.grasp_offset.clone());
+    // The object that the plans move; the last one, where a task has several.
+    let carried = Arc::new(Mutex::new(String::new()));
+    let moving = carried.clone();
     node.subscribe("/diffusion_policy/prediction", Qos::best_effort(2), {
         move |m: PoseTrajectory| match inputs::plan(&m, &offset) {
-            Ok(Some(plan)) => with(&shared, |i| i.plan = Some(plan)),
+            Ok(Some(plan)) => {
+                if m.moving != "tcp" {
+                    *moving.lock().unwrap_or_else(PoisonError::into_inner) = m.moving;
+                }
+                with(&shared, |i| i.plan = Some(plan));
+            }
             Ok(None) => {}
             Err(why) => tracing::warn!("prediction refused: {why}"),
         }
@@ -125,12 +180,16 @@ fn subscribe_task(node: &Node, p: &ArmParameters, input: &SharedInput) -> anyhow
     })?;
     let shared = input.clone();
     node.subscribe("/pose_tracker/objects", Qos::best_effort(5), move |m: TrackedObjects| {
-        with(&shared, |i| i.attach = inputs::attach(&m));
+        let name = carried.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        with(&shared, |i| {
+            i.attach = inputs::attach(&m);
+            i.object = inputs::report(&m, &name);
+        });
     })?;
     Ok(())
 }
 
-fn serve_requests(node: &Node, input: &SharedInput) -> anyhow::Result<()> {
+fn serve_requests(node: &Node, input: &SharedInput, take: &Arc<AtomicBool>) -> anyhow::Result<()> {
     let requests: [(&str, fn(&mut Requests)); 5] = [
         ("pause", |r| r.pause = true),
         ("resume", |r| r.resume = true),
@@ -139,9 +198,12 @@ fn serve_requests(node: &Node, input: &SharedInput) -> anyhow::Result<()> {
         ("abort", |r| r.abort = true),
     ];
     for (name, set) in requests {
-        let shared = input.clone();
+        let (shared, take) = (input.clone(), take.clone());
         node.service::<Trigger, _, _>(&format!("~/{name}"), move |_request| {
             with(&shared, |i| set(&mut i.requests));
+            if ["resume", "home"].contains(&name) {
+                take.store(true, Ordering::SeqCst);
+            }
             async move { TriggerResponse { success: true, message: format!("{name} requested") } }
         })?;
     }
@@ -168,6 +230,7 @@ impl Loop {
     fn tick(&mut self) {
         let now = self.node.now();
         let input = with(&self.input, |i| {
+            i.disabled = self.permissions.refusal();
             let taken = i.clone();
             i.requests = Requests::default();
             taken
@@ -178,8 +241,15 @@ impl Loop {
     }
 
     fn act(&mut self, now: Stamp, input: &ControllerInput, output: &ControllerOutput) {
+        if let (Output::Positions(topic), Some((q, _)), None) =
+            (&self.output, self.core.commanded(), &input.disabled)
+        {
+            topic.publish(Float64MultiArray { data: q.to_vec(), ..Default::default() });
+        }
         if let Some(path) = &output.trajectory {
-            self.trajectory.publish(inputs::trajectory(path));
+            if let Output::Trajectory(topic, stamped) = &self.output {
+                topic.publish(inputs::trajectory(path, *stamped));
+            }
             if let Some(plan) = &input.plan
                 && self.last_plan != Some(plan.stamp)
             {
@@ -188,7 +258,7 @@ impl Loop {
             }
         }
         if let Some(request) = output.gripper {
-            self.command_gripper(request);
+            self.command_gripper(now, request);
         }
         if output.reset_switch {
             let client = self.switch_reset.clone();
@@ -201,7 +271,7 @@ impl Loop {
         }
     }
 
-    fn command_gripper(&self, request: GripperRequest) {
+    fn command_gripper(&self, now: Stamp, request: GripperRequest) {
         let (client, input) = (self.gripper.clone(), self.input.clone());
         self.runtime.spawn(async move {
             let mut goal = GripperCommandGoal::default();
@@ -209,8 +279,10 @@ impl Loop {
             goal.command.max_effort = request.max_effort;
             match client.run(goal, ACTION_PATIENCE).await {
                 Ok((_, result)) => with(&input, |i| {
-                    let knuckle = i.gripper.map_or(result.position, |g| g.knuckle);
+                    let (stamp, knuckle) =
+                        i.gripper.map_or((now, result.position), |g| (g.stamp, g.knuckle));
                     i.gripper = Some(GripperFeedback {
+                        stamp,
                         command: Some(request.id),
                         knuckle,
                         stalled: result.stalled,

@@ -2,15 +2,31 @@ use serde::{Deserialize, Serialize};
 use tdv_robot::ControllerParams;
 use tdv_runtime::Parameters;
 
+/// What the driver is given.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Command {
+    /// Short joint trajectories that end at rest.
+    Trajectory,
+    /// Joint positions at every tick.
+    ForwardPosition,
+}
+
 /// Parameters of the node.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ArmParameters {
     pub robot: String,
     pub limits_file: String,
+    pub command: Command,
     pub trajectory_controller: String,
+    pub forward_controller: String,
     pub gripper_controller: String,
+    pub controller_manager: String,
     pub require_program: bool,
+    pub enable_topic: String,
+    pub enable_timeout: f64,
+    pub stamp_trajectories: bool,
     pub grasp_offset: Vec<f64>,
     pub control: ControllerParams,
 }
@@ -20,11 +36,27 @@ impl Default for ArmParameters {
         Self {
             robot: "ur5".into(),
             limits_file: String::new(),
+            command: Command::Trajectory,
             trajectory_controller: "scaled_joint_trajectory_controller".into(),
+            forward_controller: "forward_position_controller".into(),
             gripper_controller: "robotiq_gripper_controller".into(),
+            controller_manager: "/controller_manager".into(),
             require_program: true,
+            enable_topic: String::new(),
+            enable_timeout: 0.5,
+            stamp_trajectories: false,
             grasp_offset: vec![0.0; 3],
             control: ControllerParams::default(),
+        }
+    }
+}
+
+impl ArmParameters {
+    /// The controller that moves the arm.
+    pub fn motion_controller(&self) -> &str {
+        match self.command {
+            Command::Trajectory => &self.trajectory_controller,
+            Command::ForwardPosition => &self.forward_controller,
         }
     }
 }
@@ -38,6 +70,9 @@ impl Parameters for ArmParameters {
         if self.grasp_offset.len() != 3 || self.grasp_offset.iter().any(|v| v.abs() > 0.1) {
             problems.push("'grasp_offset' must be x, y, z within 0.1 m".into());
         }
+        if !(self.enable_timeout > 0.0 && self.enable_timeout <= 10.0) {
+            problems.push(format!("'enable_timeout' is {}: 0 to 10 s", self.enable_timeout));
+        }
         problems
     }
 
@@ -49,6 +84,22 @@ impl Parameters for ArmParameters {
             }
             "trajectory_controller" => "controller that takes the joint trajectories",
             "gripper_controller" => "controller that offers the gripper action",
+            "command" => {
+                "trajectory: short trajectories that end at rest; forward_position: positions at each \
+                 tick, which a driver may hold for ever when this node dies"
+            }
+            "forward_controller" => "controller that takes joint positions",
+            "controller_manager" => {
+                "node that switches controllers; empty: the right one is active without asking"
+            }
+            "enable_topic" => "std_msgs/Bool of a dead-man switch; empty for none",
+            "enable_timeout" => "silence (s) after which the dead-man switch counts as released",
+            "stamp_trajectories" => {
+                "say when a trajectory begins; only where the driver's clock is this one's"
+            }
+            "control.dry_run" => {
+                "everything but motion; what would go out is on ~/dry_run/joint_trajectory"
+            }
             "require_program" => "move only while robot_program_running is true",
             "grasp_offset" => {
                 "control experiment: shifts all reach plans by x, y, z (m, base_link)"

@@ -13,7 +13,7 @@ use tdv_msgs::tdv_msgs::msg::{TrackedObject, TrackedObjects, TrialVerdict};
 use tdv_msgs::tf2_msgs::msg::TFMessage;
 use tdv_robot::JOINT_NAMES;
 use tdv_runtime::{Level, Node, Params, Publisher, Qos, Sender, inbox, tracked};
-use tdv_simulation::disturbance::Disturbance;
+use tdv_simulation::disturbance::{Disturbance, ForcedDrop};
 use tdv_simulation::trial::PlacingGoal;
 use tdv_simulation::ur_server::{ServerConfig, UrServer};
 use tdv_simulation::{Lab, LabAssets, Pacer, Scene};
@@ -32,6 +32,7 @@ struct World {
     origin: Stamp,
     disturbance: Option<Disturbance>,
     disturb_now: Arc<AtomicBool>,
+    drop: Option<ForcedDrop>,
     frames: Option<Sender<Snapshot>>,
     truth: Publisher<TrackedObjects>,
     true_joints: Publisher<JointState>,
@@ -78,6 +79,7 @@ pub async fn simulate(node: Node, params: Params<LabParameters>) -> anyhow::Resu
         origin: node.now(),
         disturbance: p.disturb.then(|| Disturbance::new(seed)),
         disturb_now,
+        drop: p.drop.then(|| ForcedDrop::new(seed)),
         frames,
         finished: false,
         node: node.clone(),
@@ -176,6 +178,13 @@ impl World {
                     tracing::info!("{name} is displaced by {dx:.3}, {dy:.3} m");
                 }
                 Ok(None) => {}
+                Err(e) => tracing::debug!("{e}"),
+            }
+        }
+        if let Some(drop) = &mut self.drop {
+            match drop.step(&mut self.lab) {
+                Ok(true) => tracing::info!("the grip fails"),
+                Ok(false) => {}
                 Err(e) => tracing::debug!("{e}"),
             }
         }

@@ -16,6 +16,7 @@ pub struct LabParameters {
     pub goal_yaw: f64,
     pub goal_offset: Vec<f64>,
     pub disturb: bool,
+    pub drop: bool,
     pub camera: bool,
 }
 
@@ -31,6 +32,7 @@ impl Default for LabParameters {
             goal_yaw: 0.0,
             goal_offset: vec![0.0, 0.0],
             disturb: false,
+            drop: false,
             camera: true,
         }
     }
@@ -59,6 +61,7 @@ impl Parameters for LabParameters {
             "goal_yaw" => "demonstrated yaw of the object in the reference frame (rad)",
             "goal_offset" => "demonstrated place of the object in the reference frame (m)",
             "disturb" => "displace an object by 5 to 10 cm in mid-run",
+            "drop" => "the grip fails once, soon after the lift",
             "camera" => "render and publish the camera",
             _ => "",
         }

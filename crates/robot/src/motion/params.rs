@@ -72,7 +72,8 @@ pub struct ControllerParams {
     pub blend_time: f64,
     /// How long a trajectory follows the plan before it decelerates to rest.
     pub horizon: f64,
-    /// Time of the first point sent; the driver blends from its present target to it.
+    /// Time of the first point sent. At 0 it is the present command: a joint trajectory controller of
+    /// ros2_control would otherwise go to the first point from the measured joints, which lag behind.
     pub first_point: f64,
     /// A plan whose observation is older than this makes no trajectory.
     pub stale_after: f64,
@@ -127,7 +128,7 @@ impl Default for ControllerParams {
             lookahead: 0.15,
             blend_time: 0.1,
             horizon: 0.064,
-            first_point: 0.016,
+            first_point: 0.0,
             stale_after: 0.150,
             future_tolerance: 0.02,
             joint_state_timeout: 0.15,
@@ -169,7 +170,7 @@ impl ControllerParams {
         range("lookahead", self.lookahead, 0.0, 0.5);
         range("blend_time", self.blend_time, 0.0, 1.0);
         range("horizon", self.horizon, 2.0 * self.tick, 0.15);
-        range("first_point", self.first_point, self.tick, self.horizon);
+        range("first_point", self.first_point, 0.0, self.horizon);
         range("stale_after", self.stale_after, 0.02, 1.0);
         range("future_tolerance", self.future_tolerance, 0.0, 0.1);
         range("joint_state_timeout", self.joint_state_timeout, 0.01, 1.0);

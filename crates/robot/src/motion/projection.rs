@@ -119,7 +119,7 @@ impl Projection {
 
     /// What goes out: the law's points from `first` seconds on, then the stop.
     pub fn path(&self, stamp: Stamp, first: f64) -> JointPath {
-        let law = (1..self.states.len()).map(|i| self.tick * i as f64);
+        let law = (0..self.states.len()).map(|i| self.tick * i as f64);
         let stop = (1..=STOP_POINTS)
             .map(|i| self.law_time() + self.stop_time * i as f64 / STOP_POINTS as f64);
         let mut points: Vec<PathPoint> = law

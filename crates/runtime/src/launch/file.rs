@@ -152,6 +152,18 @@ pub struct NodeCommand {
     pub environment: Vec<(String, String)>,
 }
 
+impl NodeCommand {
+    /// A program that is no node of ours, given by a shell command.
+    pub fn shell(name: &str, command: &str) -> Self {
+        Self {
+            name: name.into(),
+            executable: "/bin/sh".into(),
+            arguments: vec!["-c".into(), format!("exec {command}")],
+            environment: Vec::new(),
+        }
+    }
+}
+
 impl LaunchFile {
     /// Reads a file.
     ///

@@ -6,7 +6,7 @@ mod pictures;
 mod replay;
 mod signals;
 
-use crate::launch::{LaunchError, LaunchFile, Launched, NodeExit, StartOptions};
+use crate::launch::{LaunchError, LaunchFile, Launched, NodeCommand, NodeExit, StartOptions};
 use crate::names::Resolver;
 use crate::node::Node;
 use crate::record::{RecordError, Recorder, Recording};
@@ -51,6 +51,9 @@ pub struct TrialSetup {
     pub kill: Option<String>,
     /// Kill it not before something is held.
     pub kill_carrying: bool,
+    /// Shell command of a driver that is started too; the launch file's own is then left out by its
+    /// argument `driver`.
+    pub driver: Option<String>,
     /// Record the run into this folder, which must not exist yet.
     pub bag: Option<PathBuf>,
 }
@@ -186,8 +189,11 @@ fn block_on<T>(work: impl Future<Output = Result<T, TrialError>>) -> Result<T, T
 
 /// A watching node, and the processes of the graph.
 fn start(setup: &TrialSetup) -> Result<(Node, Launched), TrialError> {
-    let commands =
+    let mut commands =
         LaunchFile::load(&setup.launch_file)?.commands(&setup.arguments, &setup.share)?;
+    if let Some(line) = &setup.driver {
+        commands.push(NodeCommand::shell("driver", line));
+    }
     let environment = Environment { domain: setup.domain, range: DiscoveryRange::Localhost };
     let resolver =
         Resolver::new("trial_runner", &Arguments::default()).map_err(RuntimeError::Name)?;

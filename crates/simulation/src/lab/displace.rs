@@ -1,4 +1,4 @@
-//! Objects pushed over the table while a trial runs.
+//! Objects pushed over the table, or lost by the gripper, while a trial runs.
 
 use super::Lab;
 use crate::draw::{Stream, rng};
@@ -30,6 +30,20 @@ impl Lab {
             self.world.place_object(s.object, &pose);
         }
         self.slides.retain(|s| s.elapsed < s.duration);
+    }
+
+    /// The pads' friction is gone for `seconds`: what is held slips out.
+    pub fn make_slippery(&mut self, seconds: f64) {
+        self.slippery = seconds.max(0.0);
+        self.world.set_pad_grip(if self.slippery > 0.0 { 0.0 } else { 1.0 });
+    }
+
+    /// One tick of the pads' drying.
+    pub(super) fn dry(&mut self) {
+        if self.slippery > 0.0 {
+            let left = self.slippery - DT;
+            self.make_slippery(if left > 0.5 * DT { left } else { 0.0 });
+        }
     }
 
     /// Pushes an object over the table by (`dx`, `dy`) m within `duration` s (0: at once).

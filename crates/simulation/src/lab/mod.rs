@@ -116,6 +116,8 @@ pub struct Lab {
     incidents: Incidents,
     knowledge: Knowledge,
     slides: Vec<Slide>,
+    /// Seconds for which the pads do not grip.
+    slippery: f64,
     judge: Judge,
     seed: u64,
 }
@@ -176,6 +178,7 @@ impl Lab {
             incidents: Incidents::default(),
             knowledge,
             slides: Vec::new(),
+            slippery: 0.0,
             judge,
             seed,
             assets,
@@ -188,6 +191,7 @@ impl Lab {
         let drive = self.gripper.step(DT, self.world.gap(), self.world.gap_rate());
         self.world.set_drive(drive);
         self.slide();
+        self.dry();
         self.world.step(self.controller.q());
         self.contacts = self.world.contacts();
         self.protect();
