@@ -1,4 +1,4 @@
-use crate::{percentile, wilson_interval};
+use crate::{StreamFigures, percentile, wilson_interval};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -76,6 +76,9 @@ pub struct ClosedLoopSummary {
     pub latency: BTreeMap<String, LatencyFigures>,
     /// CPU seconds per wall second, by node.
     pub cpu: BTreeMap<String, f64>,
+    /// Smoothness of the motion.
+    #[serde(default)]
+    pub stream: StreamFigures,
 }
 
 /// The file that `tdv eval closed-loop --json` writes.
@@ -95,6 +98,7 @@ impl ClosedLoopReport {
         trials: Vec<Trial>,
         latency_ms: &BTreeMap<String, Vec<f64>>,
         cpu: BTreeMap<String, f64>,
+        stream: StreamFigures,
     ) -> Self {
         let successes = trials.iter().filter(|t| t.success).count();
         let collect = |f: &dyn Fn(&Trial) -> Option<f64>| -> Option<f64> {
@@ -122,6 +126,7 @@ impl ClosedLoopReport {
                 })
                 .collect(),
             cpu,
+            stream,
         };
         Self { summary, trials }
     }
@@ -169,6 +174,21 @@ impl ClosedLoopReport {
         for (node, share) in &s.cpu {
             let _ = writeln!(out, "  {node:18} {:5.1} % of a core", 100.0 * share);
         }
+        let m = &s.stream;
+        let _ = writeln!(
+            out,
+            "  {:.1} s of motion: velocity step at most {:.3} rad/s in 8 ms, jerk at most {:.0} rad/s^3 \
+             (p99.9 {:.0})",
+            m.moving_s, m.velocity_step, m.jerk_max, m.jerk_p999
+        );
+        let [p50, p99, most] = m.path_mm;
+        let _ = writeln!(
+            out,
+            "  executed to predicted tool path: p50 {p50:.1} mm  p99 {p99:.1} mm  max {most:.1} mm"
+        );
+        for (name, value) in &m.measured {
+            let _ = writeln!(out, "  {name:34} {value:.2}");
+        }
         out
     }
 }
@@ -195,7 +215,14 @@ mod tests {
     fn summary_counts_and_json_has_the_agreed_fields() {
         let latency = BTreeMap::from([("image_to_pose".to_owned(), vec![10.0, 20.0])]);
         let trials = vec![trial(true, Some(2.0)), trial(false, None), trial(true, Some(4.0))];
-        let r = ClosedLoopReport::new("cup", "none", trials, &latency, BTreeMap::new());
+        let r = ClosedLoopReport::new(
+            "cup",
+            "none",
+            trials,
+            &latency,
+            BTreeMap::new(),
+            StreamFigures::default(),
+        );
         assert_eq!((r.summary.trials, r.summary.successes), (3, 2));
         assert_eq!(r.summary.median_error_mm, Some(3.0));
         let json: serde_json::Value = serde_json::to_value(&r).unwrap();

@@ -5,10 +5,12 @@ mod closed_loop;
 mod page;
 mod plot;
 mod statistics;
+mod stream;
 mod tracking;
 
 pub use closed_loop::{ClosedLoopReport, ClosedLoopSummary, Fault, LatencyFigures, Trial};
 pub use page::Page;
 pub use plot::{LinePlot, Series, TopView};
 pub use statistics::{percentile, wilson_interval};
+pub use stream::{MotionSample, PredictedPath, StreamFigures, StreamStatistics};
 pub use tracking::{TrackingFrame, TrackingReport, TrackingSummary};

@@ -1,11 +1,12 @@
 use crate::arguments::ClosedLoopArgs;
-use crate::{launch, picture};
+use crate::{launch, motion, picture};
 use anyhow::{Context as _, bail};
 use std::collections::BTreeMap;
 use std::path::Path;
 use tdv_demonstration::{Demonstration, Task};
-use tdv_evaluation::{ClosedLoopReport, Fault, Trial};
+use tdv_evaluation::{ClosedLoopReport, Fault, StreamFigures, StreamStatistics, Trial};
 use tdv_geometry::yaw_of;
+use tdv_robot::Kinematics;
 use tdv_runtime::record::Recording;
 use tdv_runtime::trial::{TrialOutcome, TrialSetup, run_trial, shutdown_on_signals};
 use tdv_simulation::Scene;
@@ -38,6 +39,8 @@ pub fn closed_loop(args: &ClosedLoopArgs) -> anyhow::Result<bool> {
     let scene = Scene::load(Path::new(&task.scene))?;
     std::fs::create_dir_all(&args.run).with_context(|| args.run.display().to_string())?;
     let shutdown = shutdown_on_signals()?;
+    let arm = Kinematics::ur5();
+    let (mut stream, mut measured) = (StreamStatistics::default(), BTreeMap::new());
     let (mut trials, mut latency, mut cpu) = (Vec::new(), BTreeMap::new(), BTreeMap::new());
     for seed in args.seed..args.seed + args.trials {
         let setup = setup(args, &task, &scene, &demonstration, &model, seed);
@@ -75,6 +78,12 @@ pub fn closed_loop(args: &ClosedLoopArgs) -> anyhow::Result<bool> {
             println!("    bag: {}", bag.path.display());
             tell_dropped(bag);
         }
+        let (motion, predictions) = (motion::samples(&outcome), motion::predictions(&outcome));
+        stream.add(&motion, &predictions, |q| arm.fk_tcp(q));
+        for (name, value) in outcome.stream {
+            let worst = measured.entry(name).or_insert(value);
+            *worst = value.max(*worst);
+        }
         for (stage, samples) in outcome.latency_ms {
             latency.entry(stage).or_insert_with(Vec::new).extend(samples);
         }
@@ -84,7 +93,9 @@ pub fn closed_loop(args: &ClosedLoopArgs) -> anyhow::Result<bool> {
         }
         trials.push(trial);
     }
-    let report = ClosedLoopReport::new(&task.name, &condition(args), trials, &latency, cpu);
+    let stream = StreamFigures { measured, ..stream.figures() };
+    let condition = condition(args);
+    let report = ClosedLoopReport::new(&task.name, &condition, trials, &latency, cpu, stream);
     print!("{}", report.table());
     if let Some(path) = &args.json {
         write_json(path, &report)?;

@@ -7,6 +7,7 @@ mod doctor;
 mod eval;
 mod graph;
 mod launch;
+mod motion;
 mod observe;
 mod picture;
 mod record;

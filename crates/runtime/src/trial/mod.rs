@@ -23,10 +23,12 @@ use pictures::PictureTaker;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
-use tdv_geometry::Pose;
+use tdv_geometry::{Pose, Stamp};
 use tdv_msgs::diagnostic_msgs::msg::DiagnosticArray;
 use tdv_msgs::sensor_msgs::msg::{Image, JointState};
-use tdv_msgs::tdv_msgs::msg::{ControllerStatus, PoseTrajectory, TrackedObjects, TrialVerdict};
+use tdv_msgs::tdv_msgs::msg::{
+    ControllerStatus, PoseTrajectory, TrackedObject, TrackedObjects, TrialVerdict,
+};
 use tdv_msgs::trajectory_msgs::msg::JointTrajectory;
 use tdv_rendering::RgbImage;
 
@@ -79,6 +81,14 @@ pub struct TrialOutcome {
     pub wall: f64,
     /// The bag of the run.
     pub bag: Option<Recording>,
+    /// The true joints at 125 Hz.
+    pub motion: Vec<JointState>,
+    /// Predictions and when they came.
+    pub predictions: Vec<(Stamp, PoseTrajectory)>,
+    /// Pose of the held object in the gripper, `T_tcp_object`, by the tracker's stamps.
+    pub attachments: Vec<(Stamp, Pose)>,
+    /// The last figures of the driver and the robot about the command stream, by name.
+    pub stream: BTreeMap<String, f64>,
     /// What the kill did, when one was asked for and the arm moved.
     pub fault: Option<FaultFigures>,
 }
@@ -106,6 +116,9 @@ const AFTER_DONE: Duration = Duration::from_secs(5);
 const STILL: Duration = Duration::from_secs(20);
 /// Joint speed (rad/s) of an arm that moves.
 const MOVING: f64 = 0.02;
+
+/// Diagnostic values about the stream of commands begin so.
+const STREAM: &str = "command_";
 
 /// What a bag of a run leaves out: images at full rate. The runner writes its pictures instead.
 const TOO_MUCH: [&str; 3] = [
@@ -225,7 +238,7 @@ async fn watch_trial(setup: &TrialSetup, shutdown: &Shutdown) -> Result<TrialOut
     let mut fault = setup.kill.clone().map(|n| FaultWatch::new(n, setup.kill_carrying));
     loop {
         tokio::time::sleep(Duration::from_millis(2)).await;
-        collect(&mut watch, &mut outcome, &mut stages, &mut taker, &mut fault);
+        collect(&node, &mut watch, &mut outcome, &mut stages, &mut taker, &mut fault);
         if let Some(recorder) = &mut recorder {
             if looked.is_none_or(|t| t.elapsed() > Duration::from_millis(500)) {
                 looked = Some(Instant::now());
@@ -260,7 +273,7 @@ async fn watch_trial(setup: &TrialSetup, shutdown: &Shutdown) -> Result<TrialOut
         }
     }
     // Once more: the verdict that ended it may have come with a picture worth keeping.
-    collect(&mut watch, &mut outcome, &mut stages, &mut taker, &mut fault);
+    collect(&node, &mut watch, &mut outcome, &mut stages, &mut taker, &mut fault);
     outcome.wall = began.elapsed().as_secs_f64();
     launched.stop(Duration::from_secs(3));
     if let Some(recorder) = recorder {
@@ -284,6 +297,7 @@ fn tell(story: &mut Vec<String>, sentence: String) {
 }
 
 fn collect(
+    node: &Node,
     watch: &mut Watch,
     outcome: &mut TrialOutcome,
     stages: &mut StageClock,
@@ -291,6 +305,7 @@ fn collect(
     fault: &mut Option<FaultWatch>,
 ) {
     let now = Instant::now();
+    let clock = node.now();
     if let Some(v) = watch.verdict.try_newest() {
         outcome.verdict = Some(v);
     }
@@ -310,13 +325,22 @@ fn collect(
         if let Some(fault) = fault {
             fault.joints(&m, tracked::stamp(&m.header));
         }
+        outcome.motion.push(m);
     }
     while let Some(m) = watch.objects.try_recv() {
-        stages.pose(tracked::stamp(&m.header), now);
+        let stamp = tracked::stamp(&m.header);
+        stages.pose(stamp, now);
+        let held = m.objects.iter().find(|o| o.state == TrackedObject::HELD);
+        if let Some(object) = held.and_then(|o| tracked::pose(&o.pose.pose).ok())
+            && let Some(tcp) = tracked::usable_pose(&m, "tcp")
+        {
+            outcome.attachments.push((stamp, tcp.inverse() * object));
+        }
     }
     while let Some(m) = watch.plans.try_recv() {
         if !m.poses.is_empty() {
             stages.plan(tracked::stamp(&m.header), now);
+            outcome.predictions.push((clock, m));
         }
     }
     while watch.commands.try_recv().is_some() {
@@ -338,6 +362,11 @@ fn collect(
             let value = s.values.iter().find(|v| v.key == "cpu_percent");
             if let Some(percent) = value.and_then(|v| v.value.parse::<f64>().ok()) {
                 outcome.cpu.insert(s.name.clone(), percent / 100.0);
+            }
+            for v in s.values.iter().filter(|v| v.key.starts_with(STREAM)) {
+                if let Ok(value) = v.value.parse() {
+                    outcome.stream.insert(v.key.clone(), value);
+                }
             }
         }
     }
