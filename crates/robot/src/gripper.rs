@@ -50,6 +50,11 @@ pub fn fingertip_z(q: f64) -> f64 {
     TIP_BASE_Z + ARM_X * s + ARM_Z * c
 }
 
+/// How far (m) the fingertips are beyond where the open gripper has them, along `tool0` z: up to 13.5 mm.
+pub fn tip_advance(q: f64) -> f64 {
+    fingertip_z(q) - fingertip_z(KNUCKLE_OPEN)
+}
+
 /// Position register (3 open .. 230 closed) for a knuckle angle (rad); the nearest end outside, open
 /// for NaN.
 pub fn register_from_knuckle(q: f64) -> u8 {

@@ -15,8 +15,8 @@ pub use executor::{
     TrajectoryPoint, TrajectoryRejection,
 };
 pub use kinematics::{
-    Dexterity, DhTable, IkError, IkSelection, IkSolutions, JOINT_NAMES, Joints, Kinematics,
-    TCP_OFFSET, base_link_to_base, default_tool, unwrap_near,
+    Calibration, CalibrationError, Dexterity, DhTable, IkError, IkSelection, IkSolutions,
+    JOINT_NAMES, Joints, Kinematics, TCP_OFFSET, base_link_to_base, default_tool, unwrap_near,
 };
 pub use limits::{Limits, LimitsError};
 pub use motion::{ArmController, ControllerInput, ControllerOutput, ControllerParams};

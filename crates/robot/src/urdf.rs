@@ -90,17 +90,15 @@ impl RobotModel {
     /// # Errors
     /// [`UrdfError`].
     pub fn load(path: &Path) -> Result<Self, UrdfError> {
+        let model = Self::load_part(path)?;
         let name = path.display().to_string();
-        let read = |reason: String| UrdfError::Read { path: name.clone(), reason };
-        let text = std::fs::read_to_string(path).map_err(|e| read(e.to_string()))?;
-        let robot = urdf_rs::read_from_string(&text).map_err(|e| read(e.to_string()))?;
         for joint in JOINT_NAMES {
             let bad = |reason: &str| UrdfError::Joint {
                 path: name.clone(),
                 joint: joint.into(),
                 reason: reason.into(),
             };
-            match robot.joints.iter().find(|j| j.name == joint) {
+            match model.robot.joints.iter().find(|j| j.name == joint) {
                 None => return Err(bad("is missing")),
                 Some(j) if j.joint_type != JointType::Revolute => {
                     return Err(bad("is not revolute"));
@@ -108,6 +106,18 @@ impl RobotModel {
                 _ => {}
             }
         }
+        Ok(model)
+    }
+
+    /// As [`Self::load`] for a file that need not have the arm's joints: a gripper alone.
+    ///
+    /// # Errors
+    /// [`UrdfError`].
+    pub fn load_part(path: &Path) -> Result<Self, UrdfError> {
+        let name = path.display().to_string();
+        let read = |reason: String| UrdfError::Read { path: name.clone(), reason };
+        let text = std::fs::read_to_string(path).map_err(|e| read(e.to_string()))?;
+        let robot = urdf_rs::read_from_string(&text).map_err(|e| read(e.to_string()))?;
         let nodes = tree(&name, &robot)?;
         Ok(Self { robot, text, nodes })
     }
@@ -264,9 +274,12 @@ mod tests {
     use nalgebra::Point3;
     use rand::{Rng, SeedableRng};
 
+    fn file(name: &str) -> std::path::PathBuf {
+        Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../config/robot")).join(name)
+    }
+
     fn model() -> RobotModel {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../config/robot/ur5.urdf");
-        RobotModel::load(Path::new(path)).unwrap()
+        RobotModel::load(&file("ur5_2f85.urdf")).unwrap()
     }
 
     fn apart(a: &Pose, b: &Pose) -> f64 {
@@ -276,24 +289,49 @@ mod tests {
 
     #[test]
     fn frames_equal_the_table_of_the_kinematics() {
-        let (m, k) = (model(), Kinematics::ur5());
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
-        for _ in 0..500 {
-            let q: Joints = std::array::from_fn(|_| rng.random_range(-6.0..6.0));
-            let at = m.link_poses(&q, 0.0);
-            assert!(apart(&at["tool0"], &k.fk(&q)) < 1e-9);
-            assert!(apart(&at["tcp"], &k.fk_tcp(&q)) < 1e-9);
-            assert!(apart(&at["wrist_3_link"], &k.fk(&q)) < 1e-9);
-            assert!(apart(&at["base"], &crate::base_link_to_base()) < 1e-9);
-            let links = k.link_poses(&q);
-            for (i, name) in
-                ["shoulder_link", "upper_arm_link", "forearm_link", "wrist_1_link", "wrist_2_link"]
-                    .iter()
-                    .enumerate()
-            {
-                assert!(apart(&at[name], &links[i]) < 1e-9, "{name}");
+        for (name, k) in [
+            ("ur5.urdf", Kinematics::ur5()),
+            ("ur5_2f85.urdf", Kinematics::ur5()),
+            ("ur5e.urdf", Kinematics::ur5e()),
+            ("ur5e_2f85.urdf", Kinematics::ur5e()),
+        ] {
+            let m = RobotModel::load(&file(name)).unwrap();
+            for _ in 0..250 {
+                let q: Joints = std::array::from_fn(|_| rng.random_range(-6.0..6.0));
+                let at = m.link_poses(&q, 0.0);
+                assert!(apart(&at["tool0"], &k.fk(&q)) < 1e-9, "{name}");
+                if name.contains("2f85") {
+                    assert!(apart(&at["tcp"], &k.fk_tcp(&q)) < 1e-9);
+                }
+                assert!(apart(&at["base"], &crate::base_link_to_base()) < 1e-9);
+                let links = ["shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"];
+                for (link, pose) in links.iter().zip(k.link_poses(&q)) {
+                    assert!(apart(&at[format!("{link}_link").as_str()], &pose) < 1e-9, "{link}");
+                }
             }
         }
+    }
+
+    #[test]
+    fn the_gripper_alone_is_that_of_the_combined_model() {
+        let path = file("robotiq_2f85.urdf");
+        assert!(matches!(RobotModel::load(&path), Err(UrdfError::Joint { .. })));
+        let (alone, both) = (RobotModel::load_part(&path).unwrap(), model());
+        let q = [0.3, -1.2, 1.4, -0.7, 0.9, 2.2];
+        for knuckle in [0.0, 0.3, KNUCKLE_CLOSED] {
+            let (a, b) = (alone.link_poses(&q, knuckle), both.link_poses(&q, knuckle));
+            let root = b["robotiq_85_base_link"].inverse();
+            assert_eq!(a.len(), 9);
+            for (link, pose) in &a {
+                assert!(apart(pose, &(root * b[link])) < 1e-9, "{link}");
+            }
+        }
+        // One joint is commanded, the five others mimic it.
+        let moving: Vec<_> =
+            alone.robot.joints.iter().filter(|j| j.joint_type == JointType::Revolute).collect();
+        let own: Vec<_> = moving.iter().filter(|j| j.mimic.is_none()).map(|j| &j.name).collect();
+        assert!(moving.len() == 6 && own == [KNUCKLE_JOINT], "{own:?}");
     }
 
     #[test]
@@ -319,21 +357,22 @@ mod tests {
     }
 
     #[test]
-    fn the_plane_check_uses_the_same_shapes() {
+    fn the_plane_check_contains_the_same_shapes() {
         let shapes = model().collisions();
         let names = ["", "", "forearm_link", "wrist_1_link", "wrist_2_link", "wrist_3_link"];
         for c in &CAPSULES {
             let palm = c.name == "gripper palm";
             let link = if palm { "robotiq_85_base_link" } else { names[c.link] };
-            let same = shapes.iter().filter(|s| s.link == link).any(|s| {
+            let held = shapes.iter().filter(|s| s.link == link).any(|s| {
                 let Shape::Cylinder(r, l) = s.shape else { return false };
                 let end = |sign: f64| s.origin * Point3::new(0.0, 0.0, sign * l / 2.0);
-                let near = |p: Point3<f64>, q: [f64; 3]| (p - Point3::from(q)).norm() < 1e-9;
+                let near = |p: Point3<f64>, q: [f64; 3]| {
+                    (p - Point3::from(q)).norm() <= c.radius - r + 3e-4
+                };
                 let (a, b) = (end(-1.0), end(1.0));
-                (r - c.radius).abs() < 1e-9
-                    && ((near(a, c.a) && near(b, c.b)) || (near(a, c.b) && near(b, c.a)))
+                (near(a, c.a) && near(b, c.b)) || (near(a, c.b) && near(b, c.a))
             });
-            assert!(same, "{} has no equal in the URDF", c.name);
+            assert!(held, "{} has no like in the URDF", c.name);
         }
         assert!(model().visuals().iter().all(|v| v.color.is_some()));
     }

@@ -1,6 +1,6 @@
 use super::Joints;
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use std::f64::consts::{FRAC_PI_2, PI};
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, PI};
 use tdv_geometry::Pose;
 
 /// Denavit-Hartenberg numbers of an arm of the UR shape (m); the twists `alpha` are the same for all.
@@ -48,10 +48,17 @@ impl DhTable {
     /// Transform from frame `i` to frame `i + 1` at angle `q` (rad); `i` in 0..6.
     pub fn joint(&self, i: usize, q: f64) -> Pose {
         let (a, d) = self.row(i);
-        let (s, c) = q.sin_cos();
-        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), q);
-        let twist = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), Self::ALPHA[i.min(5)]);
-        Isometry3::from_parts(Translation3::new(a * c, a * s, d), turn * twist)
+        // One sine and cosine, of the half angle, serves both the quaternion and the shift.
+        let (sh, ch) = (0.5 * q).sin_cos();
+        let (s, c) = (2.0 * sh * ch, 1.0 - 2.0 * sh * sh);
+        let (w, x) = match i {
+            0 | 3 => (FRAC_1_SQRT_2, FRAC_1_SQRT_2),
+            4 => (FRAC_1_SQRT_2, -FRAC_1_SQRT_2),
+            _ => (1.0, 0.0),
+        };
+        let turn = Quaternion::new(ch * w, ch * x, sh * x, sh * w);
+        let rotation = UnitQuaternion::new_unchecked(turn);
+        Isometry3::from_parts(Translation3::new(a * c, a * s, d), rotation)
     }
 
     /// `T_base_tool0`, `base` being the UR controller's frame.
@@ -86,5 +93,25 @@ impl DhTable {
             out[i] = t;
         }
         out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_is_its_four_elementary_motions() {
+        let dh = DhTable::UR5E;
+        for i in 0..6 {
+            for q in [-4.0, -0.3, 0.0, 1.1, 3.0] {
+                let (a, d) = dh.row(i);
+                let want = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), q)
+                    * Translation3::new(a, 0.0, d)
+                    * UnitQuaternion::from_axis_angle(&Vector3::x_axis(), DhTable::ALPHA[i]);
+                let apart = (want.to_homogeneous() - dh.joint(i, q).to_homogeneous()).abs().max();
+                assert!(apart < 1e-15, "{i} {q} {apart:e}");
+            }
+        }
     }
 }

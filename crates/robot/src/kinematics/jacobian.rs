@@ -58,7 +58,7 @@ impl Kinematics {
         }
         let s = j.singular_values();
         let condition = if s.min() > 1e-12 { s.max() / s.min() } else { f64::INFINITY };
-        let frames = self.frames(q);
+        let frames = self.nominal_frames(q);
         let wrist_centre = frames[0].inverse() * frames[5].translation.vector;
         let d4 = self.dh().d4;
         Dexterity {

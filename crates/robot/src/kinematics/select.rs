@@ -1,5 +1,4 @@
-use super::ik::solve;
-use super::{DhTable, JOINT_NAMES, Joints};
+use super::{IkSolutions, JOINT_NAMES, Joints};
 use std::f64::consts::TAU;
 use tdv_geometry::Pose;
 use thiserror::Error;
@@ -89,8 +88,7 @@ pub fn unwrap_near(angle: f64, near: f64, lower: f64, upper: f64) -> f64 {
 }
 
 pub(super) fn nearest(
-    dh: &DhTable,
-    target_base: &Pose,
+    solve: impl FnOnce() -> IkSolutions,
     target: &Pose,
     seed: &Joints,
     sel: &IkSelection,
@@ -104,7 +102,7 @@ pub(super) fn nearest(
     }
     let mut inside: Option<(f64, Joints)> = None;
     let mut outside: Option<(f64, usize, f64)> = None;
-    for s in solve(dh, target_base, seed[5]).iter() {
+    for s in solve().iter() {
         let q: Joints =
             std::array::from_fn(|i| unwrap_near(s[i], seed[i], sel.lower[i], sel.upper[i]));
         let distance: f64 = (0..6).map(|i| (sel.weights[i] * (q[i] - seed[i])).powi(2)).sum();
