@@ -46,6 +46,7 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL,
                      reliability=ReliabilityPolicy.RELIABLE)
 # The official driver's servoj settings.
 LOOKAHEAD, GAIN = 0.03, 2000
+PATH_TOLERANCE = 0.2  # rad, the official configuration's
 CLOSED, LOW, HIGH = 0.7929, 3, 230
 
 
@@ -183,6 +184,7 @@ class Driver(Node):
         self.time = time.monotonic()
         self.refused = 0
         self.unheard = 0
+        self.violations = 0
         group = ReentrantCallbackGroup()
         self.joints = self.create_publisher(JointState, "/joint_states", 10)
         self.pose = self.create_publisher(PoseStamped, "/tcp_pose_broadcaster/pose", 10)
@@ -265,6 +267,10 @@ class Driver(Node):
             trajectory = self.trajectory
             if trajectory is not None:
                 hold, _ = trajectory.sample(self.time)
+                if max(abs(a - b) for a, b in zip(hold, q)) > PATH_TOLERANCE:
+                    self.violations += 1
+                    self.get_logger().warn("holding position due to state tolerance violation")
+                    hold, self.trajectory = q, None
             if any(self.active.values()):
                 self.control.servoJ(list(hold), 0.0, 0.0, period, LOOKAHEAD, GAIN)
             else:
@@ -350,7 +356,8 @@ def main():
     node.running = False
     node.thread.join(2.0)
     node.watch.join(2.0)
-    print(f"{node.refused} trajectories refused, {node.unheard} came while inactive", flush=True)
+    print(f"{node.refused} trajectories refused, {node.unheard} came while inactive, "
+          f"{node.violations} violations of the path tolerance", flush=True)
 
 
 if __name__ == "__main__":

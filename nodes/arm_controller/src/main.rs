@@ -1,6 +1,7 @@
 //! Plans of the policy in, short joint trajectories that end at rest out, and the gripper's sequence.
 
 mod controllers;
+mod gripper;
 mod inputs;
 mod node;
 mod params;

@@ -1,4 +1,5 @@
 use crate::controllers::ControllerWatch;
+use crate::gripper::Gripper;
 use crate::inputs;
 use crate::params::{ArmParameters, Command};
 use crate::permissions::Permissions;
@@ -7,7 +8,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tdv_geometry::Stamp;
-use tdv_msgs::control_msgs::action::{GripperCommand, GripperCommandGoal};
 use tdv_msgs::sensor_msgs::msg::JointState;
 use tdv_msgs::std_msgs::msg::{Bool, Float64, Float64MultiArray};
 use tdv_msgs::std_srvs::srv::{Trigger, TriggerRequest, TriggerResponse};
@@ -15,12 +15,11 @@ use tdv_msgs::tdv_msgs::msg::{ControllerStatus, PoseTrajectory, Procedure, Track
 use tdv_msgs::trajectory_msgs::msg::JointTrajectory;
 use tdv_robot::motion::{GripperFeedback, GripperRequest, ProcedureState, Requests};
 use tdv_robot::{ArmController, ControllerInput, ControllerOutput, Kinematics, Limits};
-use tdv_runtime::{ActionClient, Level, Node, Params, Publisher, Qos, ServiceClient, tracked};
+use tdv_runtime::{Level, Node, Params, Publisher, Qos, ServiceClient, tracked};
 use tokio::runtime::Handle;
 
 /// The status goes out at least this often.
 const REPEAT: f64 = 0.1;
-const ACTION_PATIENCE: Duration = Duration::from_secs(8);
 
 type SharedInput = Arc<Mutex<ControllerInput>>;
 
@@ -39,7 +38,7 @@ struct Loop {
     output: Output,
     permissions: Permissions,
     status: Publisher<ControllerStatus>,
-    gripper: ActionClient<GripperCommand>,
+    gripper: Gripper,
     switch_reset: ServiceClient<Trigger>,
     last_status: Option<(Stamp, ControllerStatus)>,
     last_plan: Option<Stamp>,
@@ -79,7 +78,7 @@ pub async fn control(node: Node, params: Params<ArmParameters>) -> anyhow::Resul
         output: output(&node, &p)?,
         permissions,
         status: node.publisher("/arm_controller/status", Qos::latched())?,
-        gripper: node.action_client(&format!("/{}/gripper_cmd", p.gripper_controller))?,
+        gripper: Gripper::new(&node, p.gripper_action, &p.gripper_controller)?,
         switch_reset: node.client("/switch_policy/reset")?,
         last_status: None,
         last_plan: None,
@@ -274,19 +273,17 @@ impl Loop {
     fn command_gripper(&self, now: Stamp, request: GripperRequest) {
         let (client, input) = (self.gripper.clone(), self.input.clone());
         self.runtime.spawn(async move {
-            let mut goal = GripperCommandGoal::default();
-            goal.command.position = request.position;
-            goal.command.max_effort = request.max_effort;
-            match client.run(goal, ACTION_PATIENCE).await {
-                Ok((_, result)) => with(&input, |i| {
+            match client.run(request).await {
+                Ok(end) => with(&input, |i| {
+                    let last = i.gripper.map(|g| (g.stamp, g.knuckle));
                     let (stamp, knuckle) =
-                        i.gripper.map_or((now, result.position), |g| (g.stamp, g.knuckle));
+                        last.unwrap_or((now, end.knuckle.unwrap_or(request.position)));
                     i.gripper = Some(GripperFeedback {
                         stamp,
                         command: Some(request.id),
                         knuckle,
-                        stalled: result.stalled,
-                        reached: result.reached_goal,
+                        stalled: end.stalled,
+                        reached: end.reached,
                     });
                 }),
                 Err(e) => tracing::error!("gripper command {}: {e}", request.id),

@@ -12,6 +12,16 @@ pub enum Command {
     ForwardPosition,
 }
 
+/// Type of the gripper's action.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GripperAction {
+    /// Of gripper_controllers.
+    GripperCommand,
+    /// Of parallel_gripper_controller.
+    ParallelGripperCommand,
+}
+
 /// Parameters of the node.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -22,6 +32,7 @@ pub struct ArmParameters {
     pub trajectory_controller: String,
     pub forward_controller: String,
     pub gripper_controller: String,
+    pub gripper_action: GripperAction,
     pub controller_manager: String,
     pub require_program: bool,
     pub enable_topic: String,
@@ -40,6 +51,7 @@ impl Default for ArmParameters {
             trajectory_controller: "scaled_joint_trajectory_controller".into(),
             forward_controller: "forward_position_controller".into(),
             gripper_controller: "robotiq_gripper_controller".into(),
+            gripper_action: GripperAction::GripperCommand,
             controller_manager: "/controller_manager".into(),
             require_program: true,
             enable_topic: String::new(),
@@ -100,6 +112,7 @@ impl Parameters for ArmParameters {
             "control.dry_run" => {
                 "everything but motion; what would go out is on ~/dry_run/joint_trajectory"
             }
+            "gripper_action" => "gripper_command or parallel_gripper_command, as the driver has it",
             "require_program" => "move only while robot_program_running is true",
             "grasp_offset" => {
                 "control experiment: shifts all reach plans by x, y, z (m, base_link)"
