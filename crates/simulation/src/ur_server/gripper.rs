@@ -46,7 +46,8 @@ fn answer(request: &Request, r: &mut GripperRequest, s: &mut GripperStatus) -> R
                 Variable::Fault => s.fault,
                 Variable::RequestEcho | Variable::PositionCommand => s.requested,
                 Variable::AutoRelease => u8::from(r.auto_release),
-                Variable::AutoReleaseDirection => 0,
+                Variable::AutoReleaseDirection | Variable::Mode => 0,
+                Variable::SlaveId => 9,
             };
             Response::Value(*variable, value)
         }
