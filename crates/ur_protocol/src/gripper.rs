@@ -32,9 +32,13 @@ pub enum Variable {
     AutoReleaseDirection,
     /// `PCO`: echo of the position register (older firmware).
     PositionCommand,
+    /// `MOD`: operation mode, 0 for two fingers.
+    Mode,
+    /// `SID`: Modbus slave id.
+    SlaveId,
 }
 
-const NAMES: [(Variable, &str); 12] = [
+const NAMES: [(Variable, &str); 14] = [
     (Variable::Activate, "ACT"),
     (Variable::GoTo, "GTO"),
     (Variable::Position, "POS"),
@@ -47,6 +51,8 @@ const NAMES: [(Variable, &str); 12] = [
     (Variable::AutoRelease, "ATR"),
     (Variable::AutoReleaseDirection, "ARD"),
     (Variable::PositionCommand, "PCO"),
+    (Variable::Mode, "MOD"),
+    (Variable::SlaveId, "SID"),
 ];
 
 impl Variable {
@@ -81,6 +87,25 @@ impl ObjectStatus {
         [Self::Moving, Self::ContactOpening, Self::ContactClosing, Self::AtPosition]
             .into_iter()
             .find(|s| *s as u8 == value)
+    }
+}
+
+/// What a fault code of `FLT` (or of the Modbus fault register) means; `None` for no fault.
+pub fn fault_text(code: u8) -> Option<&'static str> {
+    // The upper half of the byte belongs to the gripper's controller.
+    match code & 0x0f {
+        0x00 => None,
+        0x05 => Some("action delayed: activation has to be completed first"),
+        0x07 => Some("the activation bit has to be set first"),
+        0x08 => Some("over temperature: it has to cool down"),
+        0x09 => Some("no communication for 1 s"),
+        0x0a => Some("under voltage"),
+        0x0b => Some("automatic release is under way"),
+        0x0c => Some("internal fault: contact the maker"),
+        0x0d => Some("activation fault: something hinders the fingers"),
+        0x0e => Some("over current"),
+        0x0f => Some("automatic release is done: activate again"),
+        _ => Some("unknown fault"),
     }
 }
 

@@ -6,7 +6,9 @@
 
 pub mod dashboard;
 pub mod gripper;
+pub mod modbus;
 pub mod rtde;
+pub mod script;
 pub mod servo;
 
 use thiserror::Error;
@@ -64,6 +66,9 @@ pub enum ProtocolError {
     /// A line that the gripper protocol does not have.
     #[error("gripper line `{0}` is not understood")]
     GripperLine(String),
+    /// A text that would not stay on its line.
+    #[error("`{0}` cannot be sent: one line of 1 to 200 characters is possible")]
+    Argument(String),
     /// A line without an end, or a text that is not ASCII.
     #[error("text line longer than {0} bytes, or not ASCII")]
     Line(usize),

@@ -7,7 +7,7 @@ mod package;
 mod value;
 
 pub use client::{Client, ClientConfig, ClientEvent};
-pub use fields::{FieldKind, input_field, output_field};
+pub use fields::{DRIVER_INPUTS, DRIVER_OUTPUTS, FieldKind, input_field, output_field};
 pub use frame::{Frame, FrameReader, MAX_PACKAGE};
 pub use package::{ClientPackage, ServerPackage, TextLevel};
 pub use value::{FieldType, Recipe, Value};

@@ -143,6 +143,12 @@ impl Value {
         as_bool, Bool, bool);
     accessor!(/// The value of a `UINT32`.
         as_u32, Uint32, u32);
+    accessor!(/// The value of a `UINT8`.
+        as_u8, Uint8, u8);
+    accessor!(/// The value of a `UINT64`.
+        as_u64, Uint64, u64);
+    accessor!(/// The value of a `VECTOR3D`.
+        as_vector3d, Vector3d, [f64; 3]);
     accessor!(/// The value of an `INT32`.
         as_i32, Int32, i32);
     accessor!(/// The value of a `DOUBLE`.
