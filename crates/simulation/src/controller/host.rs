@@ -51,6 +51,7 @@ is_within_safety_limits(pose, qnear = None)
 is_steady()
 get_steptime()
 protective_stop()
+textmsg(s1, s2 = '')
 popup(s, title = 'Popup', warning = False, error = False, blocking = False)
 read_input_integer_register(address)
 read_input_float_register(address)
@@ -220,7 +221,8 @@ impl Core {
             }
             begin(self)?;
             self.polled = true;
-            return Ok(if self.mover.busy() { Reply::Wait } else { Reply::Done(Value::Nothing) });
+            // A command takes a cycle even where there is nothing to wait for.
+            return Ok(if self.mover.busy() { Reply::Wait } else { Reply::Spent(Value::Nothing) });
         }
         self.polled = true;
         Ok(if self.mover.busy() { Reply::Wait } else { Reply::Done(Value::Nothing) })
@@ -313,6 +315,7 @@ impl Core {
     fn halt(&mut self, call: &Call<'_>, begin: impl FnOnce(&mut Self)) -> Reply {
         if call.waited == 0 {
             begin(self);
+            return if self.mover.at_rest() { Reply::Spent(Value::Nothing) } else { Reply::Wait };
         }
         if self.mover.at_rest() { Reply::Done(Value::Nothing) } else { Reply::Wait }
     }
@@ -408,6 +411,11 @@ impl Core {
                     self.say(MessageKind::Popup, text);
                 }
                 if blocking && self.popup.is_some() { Reply::Wait } else { Reply::Done(Value::Nothing) }
+            }
+            "textmsg" => {
+                let text = format!("{}{}", words(&a[0]), words(&a[1]));
+                self.say(MessageKind::Log, text);
+                Reply::Done(Value::Nothing)
             }
             "set_speed" => {
                 self.slider = number(&a[0], "the speed")?.clamp(0.0, 1.0);

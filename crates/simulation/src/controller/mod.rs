@@ -21,15 +21,15 @@ mod tests;
 pub use self::core::{Message, MessageKind};
 pub use generation::Generation;
 pub use power::{RobotMode, SafetyMode};
-pub use program::ProgramError;
+pub use program::{ProgramError, Script};
 pub use registers::{Inputs, Lines, Registers, Slot, WatchdogAction};
 
 use self::core::{Core, Demand};
 use crate::arm;
 use motion::Motion;
-use program::Program;
 use tdv_geometry::Pose;
 use tdv_geometry::nalgebra::{Translation3, UnitQuaternion, Vector3};
+use tdv_urscript::{Limits, Machine, Program};
 
 /// Largest joint speed, rad/s (UR5 data sheet: 180 deg/s).
 pub const MAX_SPEED: f64 = std::f64::consts::PI;
@@ -88,9 +88,9 @@ pub struct Controller {
     resume_left: f64,
     /// A motion that a pause interrupted.
     suspended: Option<Motion>,
-    program: Option<Program>,
-    /// The text that `play` starts.
-    loaded: Option<String>,
+    machine: Machine,
+    /// What `play` starts.
+    loaded: Option<Program>,
 }
 
 impl Controller {
@@ -107,7 +107,7 @@ impl Controller {
             runtime: RuntimeState::Stopped,
             resume_left: 0.0,
             suspended: None,
-            program: None,
+            machine: Machine::new(generation.cycle(), Limits::default(), 0),
             loaded: None,
         }
     }
@@ -373,9 +373,9 @@ impl Controller {
     /// # Errors
     /// [`ProgramError`] naming the line.
     pub fn load(&mut self, text: &str) -> Result<(), ProgramError> {
-        Program::parse(text)?;
-        self.loaded = Some(text.to_owned());
-        Ok(())
+        let programs = Script::parse(text).0?;
+        self.loaded = programs.into_iter().find(|p| !p.is_secondary());
+        self.loaded.as_ref().map(|_| ()).ok_or(ProgramError::Empty)
     }
 
     /// Whether [`play`](Self::play) has something to play.
@@ -389,29 +389,51 @@ impl Controller {
     /// # Errors
     /// [`ProgramError`]: not URScript, or the robot is not ready to run it.
     pub fn run_script(&mut self, text: &str) -> Result<(), ProgramError> {
-        let program = Program::parse(text)?;
-        if program.is_secondary() {
-            return match &mut self.program {
-                Some(running) => running.run_beside(text),
-                None => {
-                    self.program = Some(program);
-                    Ok(())
-                }
-            };
-        }
-        if !self.core.can_move() {
-            let (robot, safety) = (self.robot_mode().name(), self.core.safety.name());
-            return Err(ProgramError::NotReady { robot, safety });
-        }
-        self.loaded = Some(text.to_owned());
-        self.start(program);
-        Ok(())
+        self.run(Script::parse(text))
     }
 
-    fn start(&mut self, program: Program) {
+    /// The same with a script that was read before.
+    ///
+    /// # Errors
+    /// As [`run_script`](Self::run_script); the controller also says it in a message.
+    pub fn run(&mut self, script: Script) -> Result<(), ProgramError> {
+        let outcome = script.0.and_then(|programs| {
+            for program in programs {
+                if program.is_secondary() {
+                    self.machine.start(&program, &mut self.core)?;
+                } else {
+                    self.ready()?;
+                    self.start(program)?;
+                }
+            }
+            Ok(())
+        });
+        if let Err(e) = &outcome {
+            tracing::warn!("{e}");
+            self.core.say(MessageKind::Error, e.to_string());
+        }
+        outcome
+    }
+
+    /// Name of the program that runs or was loaded last.
+    pub fn program_name(&self) -> Option<&str> {
+        self.machine.program().or(self.loaded.as_ref().map(Program::name))
+    }
+
+    fn ready(&self) -> Result<(), ProgramError> {
+        if self.core.can_move() {
+            return Ok(());
+        }
+        let (robot, safety) = (self.robot_mode().name(), self.core.safety.name());
+        Err(ProgramError::NotReady { robot, safety })
+    }
+
+    fn start(&mut self, program: Program) -> Result<(), ProgramError> {
         self.end_program();
-        self.program = Some(program);
+        self.machine.start(&program, &mut self.core)?;
+        self.loaded = Some(program);
         self.runtime = RuntimeState::Playing;
+        Ok(())
     }
 
     /// Starts the loaded program anew, or goes on with a paused one.
@@ -419,10 +441,7 @@ impl Controller {
     /// # Errors
     /// When the robot is not ready or nothing is loaded.
     pub fn play(&mut self) -> Result<(), ProgramError> {
-        if !self.core.can_move() {
-            let (robot, safety) = (self.robot_mode().name(), self.core.safety.name());
-            return Err(ProgramError::NotReady { robot, safety });
-        }
+        self.ready()?;
         match self.runtime {
             RuntimeState::Playing | RuntimeState::Resuming => {}
             RuntimeState::Pausing | RuntimeState::Paused => {
@@ -430,8 +449,8 @@ impl Controller {
                 self.resume_left = RESUME;
             }
             RuntimeState::Stopping | RuntimeState::Stopped => {
-                let text = self.loaded.clone().ok_or(ProgramError::NothingLoaded)?;
-                self.start(Program::parse(&text)?);
+                let program = self.loaded.clone().ok_or(ProgramError::NothingLoaded)?;
+                self.start(program)?;
             }
         }
         Ok(())
@@ -447,7 +466,7 @@ impl Controller {
     }
 
     fn end_program(&mut self) {
-        self.program = None;
+        self.machine.stop(&mut self.core);
         self.suspended = None;
         self.core.watchdogs.clear();
         self.core.sockets.close_all();
@@ -480,9 +499,8 @@ impl Controller {
     pub fn step(&mut self, dt: f64) {
         self.cycle_left -= dt;
         if self.cycle_left <= 0.5 * dt {
-            let cycle = self.core.generation.cycle();
-            self.cycle_left += cycle;
-            self.cycle(cycle);
+            self.cycle_left += self.core.generation.cycle();
+            self.cycle();
         }
         self.core.step(dt);
         self.obey();
@@ -503,7 +521,7 @@ impl Controller {
         }
     }
 
-    fn cycle(&mut self, cycle: f64) {
+    fn cycle(&mut self) {
         let waits = matches!(
             self.runtime,
             RuntimeState::Pausing | RuntimeState::Paused | RuntimeState::Resuming
@@ -511,26 +529,18 @@ impl Controller {
         if waits {
             return;
         }
-        if let Some(program) = &mut self.program {
-            match program.step(cycle, &mut self.core) {
-                Ok(true) => {}
-                Ok(false) => self.ended(),
-                Err(e) => {
-                    tracing::warn!("the robot program ends: {e}");
-                    self.core.say(MessageKind::Error, e.to_string());
-                    self.ended();
-                }
+        for end in self.machine.cycle(&mut self.core) {
+            if let Some(e) = &end.error {
+                tracing::warn!("program '{}' ends: {e}", end.program);
+                self.core.say(MessageKind::Error, format!("{}: {e}", end.program));
+            }
+            if !end.secondary {
+                self.end_program();
+                self.runtime = RuntimeState::Stopping;
             }
         }
         self.core.end_cycle();
         self.obey();
-    }
-
-    fn ended(&mut self) {
-        self.end_program();
-        if self.runtime != RuntimeState::Stopped {
-            self.runtime = RuntimeState::Stopping;
-        }
     }
 }
 

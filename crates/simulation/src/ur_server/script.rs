@@ -3,7 +3,6 @@
 use super::outbox::{Outbox, lock};
 use super::{Shared, read_all};
 use crate::controller::Script;
-use std::io::Write;
 use std::net::{Shutdown, TcpStream};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;

@@ -127,6 +127,11 @@ impl Session {
         ServerPackage::SetupInputs { id, types }
     }
 
+    /// Whether the client wants data.
+    pub(crate) fn started(&self) -> bool {
+        self.started
+    }
+
     /// The data package that is due after `dt` more seconds, as bytes.
     pub(crate) fn tick(&mut self, dt: f64, c: &Controller) -> Option<Vec<u8>> {
         let (recipe, sources) = self.outputs.as_ref().filter(|_| self.started)?;

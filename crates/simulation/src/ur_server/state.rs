@@ -144,7 +144,7 @@ fn word(bits: &[bool; 128], first: usize) -> Value {
     Value::Uint32(bits.fold(0, |w, (i, b)| w | u32::from(*b) << i))
 }
 
-fn joint_mode(c: &Controller) -> i32 {
+pub(crate) fn joint_mode(c: &Controller) -> i32 {
     match c.robot_mode() {
         RobotMode::Running => 253,
         RobotMode::Idle => 255,
