@@ -166,9 +166,16 @@ pub struct RobotConfig {
     /// Which controller is imitated.
     #[serde(default)]
     pub controller: Generation,
+    /// Whether the arm is powered and its brakes are released when the lab begins.
+    #[serde(default = "yes")]
+    pub powered: bool,
     /// A push against the arm harder than this (N) stops it for protection.
     #[serde(default = "default_force")]
     pub force_limit: f64,
+}
+
+fn yes() -> bool {
+    true
 }
 
 fn default_force() -> f64 {

@@ -4,7 +4,7 @@ mod displace;
 
 use crate::arm;
 use crate::contacts::Contacts;
-use crate::controller::{Controller, ServoInputs, StopReason};
+use crate::controller::{Controller, StopReason};
 use crate::draw::Knowledge;
 use crate::error::SimulationError;
 use crate::gripper::{Gripper, GripperRequest, GripperStatus};
@@ -109,7 +109,6 @@ pub struct Lab {
     world: World,
     controller: Controller,
     gripper: Gripper,
-    inputs: ServoInputs,
     contacts: Contacts,
     force: f64,
     in_table: bool,
@@ -169,9 +168,8 @@ impl Lab {
         let knowledge = scene.draw_knowledge(seed);
         Ok(Self {
             world,
-            controller: Controller::new(scene.robot.controller, home),
+            controller: Controller::with_power(scene.robot.controller, home, scene.robot.powered),
             gripper: Gripper::new(),
-            inputs: ServoInputs::default(),
             contacts,
             force: 0.0,
             in_table: false,
@@ -187,13 +185,16 @@ impl Lab {
 
     /// One tick of [`DT`] = 2 ms.
     pub fn step(&mut self) {
-        self.controller.step(DT, &self.inputs);
+        self.controller.step(DT);
         let drive = self.gripper.step(DT, self.world.gap(), self.world.gap_rate());
         self.world.set_drive(drive);
         self.slide();
         self.dry();
         self.world.step(self.controller.q());
         self.contacts = self.world.contacts();
+        // The controller gives forces in its base, which is base_link turned by pi about z.
+        let f = arm::base_link_to_base().rotation.inverse() * self.tool_force();
+        self.controller.set_tcp_force([f.x, f.y, f.z, 0.0, 0.0, 0.0]);
         self.protect();
         if self.world.ticks().is_multiple_of(JUDGE_EVERY) {
             self.look();
@@ -299,11 +300,6 @@ impl Lab {
     /// The UR controller, for the dashboard.
     pub fn controller_mut(&mut self) -> &mut Controller {
         &mut self.controller
-    }
-
-    /// Writes the registers of the servo program.
-    pub fn set_servo_inputs(&mut self, inputs: ServoInputs) {
-        self.inputs = inputs;
     }
 
     /// The gripper's registers to read.

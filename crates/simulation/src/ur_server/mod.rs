@@ -1,4 +1,5 @@
-//! The lab's controller on real sockets: RTDE, the gripper's URCap, a small dashboard.
+//! The lab's controller on real sockets: RTDE, dashboard, primary, secondary and real-time interface,
+//! and the gripper's URCap.
 //!
 //! The lab's own loop calls [`UrServer::exchange`] once a tick; the threads behind the sockets only
 //! move bytes and registers. Garbage ends the connection that it came from and nothing else.
@@ -7,26 +8,37 @@ mod dashboard;
 mod gripper;
 mod outbox;
 mod rtde;
+mod script;
 mod session;
 mod state;
+mod stream;
 
-use crate::controller::Generation;
+use crate::controller::{Controller, Generation, Message, Script};
 use crate::error::SimulationError;
 use crate::gripper::{GripperRequest, GripperStatus};
 use crate::lab::Lab;
 use crate::world::DT;
 use outbox::{Outbox, lock};
 use session::{Owners, Session};
-use state::{InputRegisters, Snapshot};
+use script::{Port, StreamClient};
+use state::InputRegisters;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener, TcpStream};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::SyncSender;
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
-use tdv_ur_protocol::dashboard::Command;
 use tdv_ur_protocol::rtde::{CB3_RATE, E_SERIES_RATE};
 use tdv_ur_protocol::{DASHBOARD_PORT, GRIPPER_PORT, RTDE_PORT};
+
+/// TCP port of the primary interface.
+pub const PRIMARY_PORT: u16 = 30001;
+/// TCP port of the secondary interface.
+pub const SECONDARY_PORT: u16 = 30002;
+/// TCP port of the real-time interface.
+pub const REALTIME_PORT: u16 = 30003;
+/// Connections at one time; more are closed at once.
+const MAX_CONNECTIONS: usize = 64;
 
 /// Where the servers listen. Port 0 takes a free one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -39,6 +51,12 @@ pub struct ServerConfig {
     pub gripper: u16,
     /// Dashboard.
     pub dashboard: u16,
+    /// Primary interface.
+    pub primary: u16,
+    /// Secondary interface.
+    pub secondary: u16,
+    /// Real-time interface.
+    pub realtime: u16,
 }
 
 impl Default for ServerConfig {
@@ -48,6 +66,9 @@ impl Default for ServerConfig {
             rtde: RTDE_PORT,
             gripper: GRIPPER_PORT,
             dashboard: DASHBOARD_PORT,
+            primary: PRIMARY_PORT,
+            secondary: SECONDARY_PORT,
+            realtime: REALTIME_PORT,
         }
     }
 }
@@ -60,7 +81,7 @@ struct RtdeClient {
 }
 
 /// A dashboard command on its way to the lab's loop and where the answer goes.
-type DashboardRequest = (Command, SyncSender<String>);
+type DashboardRequest = (String, SyncSender<String>);
 
 /// What a connection's thread does.
 type Serve = fn(TcpStream, &Arc<Shared>);
@@ -75,6 +96,11 @@ struct Shared {
     clients: Mutex<Vec<RtdeClient>>,
     gripper: Mutex<(GripperRequest, GripperStatus)>,
     dashboard: Mutex<Vec<DashboardRequest>>,
+    desk: Mutex<dashboard::Desk>,
+    scripts: Mutex<Vec<Script>>,
+    streams: Mutex<Vec<StreamClient>>,
+    /// Clients of all servers together.
+    connections: AtomicUsize,
 }
 
 impl Shared {
@@ -93,12 +119,12 @@ impl Shared {
 /// The servers. They end when this is dropped.
 pub struct UrServer {
     shared: Arc<Shared>,
-    addresses: [SocketAddr; 3],
+    addresses: [SocketAddr; 6],
     threads: Vec<JoinHandle<()>>,
 }
 
 impl UrServer {
-    /// Opens all three ports.
+    /// Opens all ports.
     ///
     /// # Errors
     /// [`SimulationError::Listen`] naming the server and the address.
@@ -112,6 +138,10 @@ impl UrServer {
             clients: Mutex::default(),
             gripper: Mutex::default(),
             dashboard: Mutex::default(),
+            desk: Mutex::default(),
+            scripts: Mutex::default(),
+            streams: Mutex::default(),
+            connections: AtomicUsize::new(0),
         });
         let open = |what: &'static str, port: u16| {
             let address = SocketAddr::new(config.address, port);
@@ -122,12 +152,21 @@ impl UrServer {
             let at = listener.local_addr().map_err(fail)?;
             Ok::<_, SimulationError>((listener, at))
         };
-        let servers: [(_, Serve); 3] = [
+        let servers: [(_, Serve); 6] = [
             (open("the RTDE server", config.rtde)?, rtde::serve),
             (open("the gripper server", config.gripper)?, gripper::serve),
             (open("the dashboard server", config.dashboard)?, dashboard::serve),
+            (open("the primary interface", config.primary)?, |stream, shared| {
+                script::serve(stream, shared, Port::Primary);
+            }),
+            (open("the secondary interface", config.secondary)?, |stream, shared| {
+                script::serve(stream, shared, Port::Secondary);
+            }),
+            (open("the real-time interface", config.realtime)?, |stream, shared| {
+                script::serve(stream, shared, Port::Realtime);
+            }),
         ];
-        let addresses = [servers[0].0.1, servers[1].0.1, servers[2].0.1];
+        let addresses = servers.each_ref().map(|s| s.0.1);
         let threads = servers
             .into_iter()
             .map(|((listener, _), serve)| {
@@ -138,8 +177,8 @@ impl UrServer {
         Ok(Self { shared, addresses, threads })
     }
 
-    /// Where RTDE, gripper and dashboard listen.
-    pub fn addresses(&self) -> [SocketAddr; 3] {
+    /// Where RTDE, gripper, dashboard, primary, secondary and real-time interface listen.
+    pub fn addresses(&self) -> [SocketAddr; 6] {
         self.addresses
     }
 
@@ -148,31 +187,74 @@ impl UrServer {
         lock(&self.shared.clients).len()
     }
 
+    /// Keeps a program under a name for the dashboard's `load`.
+    pub fn keep_program(&self, name: &str, text: &str) {
+        lock(&self.shared.desk).programs.insert(name.to_owned(), text.to_owned());
+    }
+
     /// Hands what the clients wrote to the lab and what the lab shows to the clients. Once a tick,
     /// before [`Lab::step`].
     pub fn exchange(&self, lab: &mut Lab) {
-        let registers = lock(&self.shared.registers).clone();
-        lab.set_servo_inputs(registers.servo());
-        if let Some(fraction) = registers.slider() {
-            lab.controller_mut().set_speed_fraction(fraction);
+        self.exchange_controller(lab.controller_mut(), DT);
+        lab.set_gripper_request(self.exchange_gripper(lab.gripper_status()));
+    }
+
+    /// The gripper's part of [`exchange`](Self::exchange): its registers to read in, those that
+    /// clients wrote out.
+    pub fn exchange_gripper(&self, status: GripperStatus) -> GripperRequest {
+        let mut gripper = lock(&self.shared.gripper);
+        gripper.1 = status;
+        gripper.0
+    }
+
+    /// The controller's part of [`exchange`](Self::exchange), `dt` seconds after the last one.
+    pub fn exchange_controller(&self, c: &mut Controller, dt: f64) {
+        lock(&self.shared.registers).deliver(c);
+        let scripts = std::mem::take(&mut *lock(&self.shared.scripts));
+        for script in scripts {
+            // The controller has said why; there is no answer on these ports.
+            let _ = c.run(script);
         }
-        {
-            let mut gripper = lock(&self.shared.gripper);
-            lab.set_gripper_request(gripper.0);
-            gripper.1 = lab.gripper_status();
-        }
-        for (command, answer) in lock(&self.shared.dashboard).drain(..) {
+        let requests = std::mem::take(&mut *lock(&self.shared.dashboard));
+        for (line, answer) in requests {
             // The client may be gone by now; nobody else wants the answer.
-            let _ = answer.try_send(dashboard::execute(command, lab.controller_mut()));
+            let _ = answer.try_send(dashboard::execute(&line, c, &mut lock(&self.shared.desk)));
         }
-        let clients = lock(&self.shared.clients);
-        if clients.is_empty() {
-            return;
-        }
-        let snapshot = Snapshot::of(lab);
-        for client in clients.iter() {
-            if let Some(bytes) = lock(&client.session).tick(DT, &snapshot, &registers) {
+        let messages = c.take_messages();
+        for client in lock(&self.shared.clients).iter() {
+            let mut session = lock(&client.session);
+            if session.started() {
+                messages.iter().for_each(|m| client.outbox.text(session::text(m)));
+            }
+            if let Some(bytes) = session.tick(dt, c) {
                 client.outbox.data(bytes);
+            }
+        }
+        self.stream(c, dt, &messages);
+    }
+
+    fn stream(&self, c: &Controller, dt: f64, messages: &[Message]) {
+        let mut streams = lock(&self.shared.streams);
+        let due = |period: f64| ((c.time() + dt) / period).floor() > (c.time() / period).floor();
+        let (mut state, mut realtime) = (None, None);
+        for client in streams.iter_mut() {
+            if client.port == Port::Realtime {
+                if due(c.generation().cycle()) {
+                    let bytes = realtime.get_or_insert_with(|| stream::realtime(c));
+                    client.outbox.data(bytes.clone());
+                }
+                continue;
+            }
+            if !client.greeted {
+                client.greeted = true;
+                client.outbox.text(stream::version(c));
+            }
+            if client.port == Port::Primary {
+                messages.iter().for_each(|m| client.outbox.text(stream::text(c, m)));
+            }
+            if due(0.1) {
+                let bytes = state.get_or_insert_with(|| stream::robot_state(c));
+                client.outbox.data(bytes.clone());
             }
         }
     }
@@ -197,9 +279,14 @@ fn accept(listener: &TcpListener, shared: &Arc<Shared>, serve: Serve) {
                     && stream.set_nodelay(true).is_ok()
                     && stream.set_read_timeout(Some(Duration::from_millis(200))).is_ok()
                     && stream.set_write_timeout(Some(Duration::from_secs(2))).is_ok();
-                if ready {
+                let full = shared.connections.load(Ordering::Relaxed) >= MAX_CONNECTIONS;
+                if ready && !full {
+                    shared.connections.fetch_add(1, Ordering::Relaxed);
                     let shared = Arc::clone(shared);
-                    connections.push(std::thread::spawn(move || serve(stream, &shared)));
+                    connections.push(std::thread::spawn(move || {
+                        serve(stream, &shared);
+                        shared.connections.fetch_sub(1, Ordering::Relaxed);
+                    }));
                 }
             }
             Err(_) => std::thread::sleep(Duration::from_millis(20)),

@@ -34,6 +34,15 @@ impl Outbox {
         w.answers.len() <= MAX_ANSWERS
     }
 
+    /// Queues a text unless much is waiting already: texts are for reading along, not for keeping.
+    pub(super) fn text(&self, bytes: Vec<u8>) {
+        let mut w = lock(&self.waiting);
+        if w.answers.len() < MAX_ANSWERS / 2 {
+            w.answers.push_back(bytes);
+            self.changed.notify_one();
+        }
+    }
+
     /// Replaces the data package.
     pub(super) fn data(&self, bytes: Vec<u8>) {
         lock(&self.waiting).data = Some(bytes);

@@ -1,6 +1,7 @@
 //! One RTDE client's conversation, without its socket.
 
-use super::state::{InputRegisters, Snapshot};
+use super::state::{InputRegisters, Source};
+use crate::controller::{Controller, Message, MessageKind};
 use std::collections::HashMap;
 use tdv_ur_protocol::ProtocolError;
 use tdv_ur_protocol::rtde::{
@@ -20,7 +21,7 @@ pub(crate) struct Session {
     client: u64,
     version: [u32; 4],
     fastest: f64,
-    outputs: Option<Recipe>,
+    outputs: Option<(Recipe, Vec<Source>)>,
     /// Seconds between two packages.
     period: f64,
     inputs: Vec<Recipe>,
@@ -82,6 +83,7 @@ impl Session {
                 for ((name, _), value) in recipe.fields.iter().zip(recipe.decode(&payload)?) {
                     registers.write(name, value);
                 }
+                registers.settle();
                 Vec::new()
             }
             ClientPackage::Text(_) => Vec::new(),
@@ -99,7 +101,11 @@ impl Session {
             .into_iter()
             .collect::<Option<Vec<_>>>()
             .filter(|k| !k.is_empty())
-            .map(|kinds| Recipe { id: 1, fields: names.iter().cloned().zip(kinds).collect() });
+            .and_then(|kinds| {
+                let sources = names.iter().map(|n| Source::of(n)).collect::<Option<Vec<_>>>()?;
+                let fields = names.iter().cloned().zip(kinds).collect();
+                Some((Recipe { id: 1, fields }, sources))
+            });
         ServerPackage::SetupOutputs { id: u8::from(self.outputs.is_some()), types }
     }
 
@@ -121,24 +127,35 @@ impl Session {
         ServerPackage::SetupInputs { id, types }
     }
 
+    /// Whether the client wants data.
+    pub(crate) fn started(&self) -> bool {
+        self.started
+    }
+
     /// The data package that is due after `dt` more seconds, as bytes.
-    pub(crate) fn tick(
-        &mut self,
-        dt: f64,
-        snapshot: &Snapshot,
-        registers: &InputRegisters,
-    ) -> Option<Vec<u8>> {
-        let recipe = self.outputs.as_ref().filter(|_| self.started)?;
+    pub(crate) fn tick(&mut self, dt: f64, c: &Controller) -> Option<Vec<u8>> {
+        let (recipe, sources) = self.outputs.as_ref().filter(|_| self.started)?;
         if self.due > 0.5 * dt {
             self.due -= dt;
             return None;
         }
         self.due += self.period - dt;
-        let values: Option<Vec<Value>> =
-            recipe.fields.iter().map(|(n, _)| snapshot.value(n, registers)).collect();
-        let payload = recipe.encode(&values?).ok()?;
+        let values: Vec<Value> = sources.iter().map(|s| s.read(c)).collect();
+        let payload = recipe.encode(&values).ok()?;
         Some(ServerPackage::Data(payload).to_bytes())
     }
+}
+
+/// A text of the controller as RTDE says it.
+pub(crate) fn text(message: &Message) -> Vec<u8> {
+    let level = match message.kind {
+        MessageKind::Log => TextLevel::Info,
+        MessageKind::Popup => TextLevel::Warning,
+        MessageKind::Error => TextLevel::Error,
+    };
+    // The length of each part is one byte.
+    let words: String = message.text.chars().filter(char::is_ascii).take(250).collect();
+    ServerPackage::Text { level, message: words, source: "program".into() }.to_bytes()
 }
 
 fn types_text(
@@ -191,7 +208,7 @@ mod tests {
 
         let data = ClientPackage::Data(vec![1, 0, 0, 0, 7]);
         a.handle(data, &mut owners, &mut registers).unwrap();
-        assert_eq!(registers.servo().command, 7);
+        assert_eq!(registers.inputs().registers.ints[24], 7);
         assert!(b.handle(ClientPackage::Data(vec![1, 0]), &mut owners, &mut registers).is_err());
         assert!(a.handle(ClientPackage::Data(vec![]), &mut owners, &mut registers).is_err());
     }

@@ -1,0 +1,28 @@
+/// Which controller generation is imitated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Generation {
+    /// CB3: 125 Hz.
+    #[default]
+    Cb3,
+    /// e-Series: 500 Hz.
+    ESeries,
+}
+
+impl Generation {
+    /// Control cycle, s.
+    pub fn cycle(self) -> f64 {
+        match self {
+            Self::Cb3 => 0.008,
+            Self::ESeries => 0.002,
+        }
+    }
+
+    /// Software version: major, minor, bug-fix, build.
+    pub fn version(self) -> [u32; 4] {
+        match self {
+            Self::Cb3 => [3, 15, 8, 106_339],
+            Self::ESeries => [5, 12, 4, 1_101_661],
+        }
+    }
+}
