@@ -1,6 +1,7 @@
 //! Figures of merit and how they are shown: trial results and their summary, tracking errors,
 //! percentiles and confidence intervals, report pages with plots.
 
+pub mod campaign;
 mod closed_loop;
 mod page;
 mod plot;

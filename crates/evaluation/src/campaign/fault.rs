@@ -96,6 +96,8 @@ pub struct Fault {
     pub lasts: f64,
     /// How strong it is, 0 to 1.
     pub strength: f64,
+    /// Trajectories say when they begin, or begin on arrival.
+    pub stamped: bool,
 }
 
 impl Fault {
@@ -107,6 +109,7 @@ impl Fault {
             after: rng.random_range(0.2..6.0),
             lasts: rng.random_range(0.05..3.0),
             strength: rng.random_range(0.0..1.0),
+            stamped: rng.random_range(0..2) == 1,
         }
     }
 }

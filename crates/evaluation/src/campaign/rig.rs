@@ -71,6 +71,8 @@ pub struct Rig {
     arrived_since: Option<f64>,
     moved_for: f64,
     rest_since: Option<f64>,
+    /// The arm was backing off while the trouble lasted.
+    backed_off: bool,
     last_qd: [f64; 6],
     ticks: u64,
     fault: Fault,
@@ -128,6 +130,7 @@ impl Rig {
             arrived_since: None,
             moved_for: 0.0,
             rest_since: None,
+            backed_off: false,
             last_qd: [0.0; 6],
             ticks: 0,
             fault,
@@ -170,12 +173,13 @@ impl Rig {
             let over = self.stage == Stage::After && self.status == Some(StatusCode::Done);
             self.result.recovered |= over;
             let never = self.stage == Stage::Before && self.status == Some(StatusCode::Done);
-            if self.lab.trial().finished && (over || never || self.stage == Stage::After) {
+            if self.lab.trial().finished && (over || never) {
                 break;
             }
         }
         self.result.recovered |= self.stage == Stage::Before && self.status == Some(StatusCode::Done);
         self.result.placed = self.lab.trial().success;
+
         Ok(self.result)
     }
 
@@ -224,11 +228,13 @@ impl Rig {
                 } else {
                     self.rest_since = None;
                 }
+                self.backed_off |= self.status == Some(StatusCode::Retreating);
                 self.result.sentence.clone_from(&self.sentence);
                 if t - since >= self.duration() {
                     self.result.lasted = t - since;
                     self.result.rest_s = self.rest_since.map(|r| r - since);
-                    let due = self.fault.kind.rest_due();
+                    // Backing off needs no prediction: the arm may go on.
+                    let due = self.fault.kind.rest_due().filter(|_| !self.backed_off);
                     self.result.rest_due = due.filter(|due| t - since > due + 0.05);
                     self.stage = Stage::After;
                     self.end_fault();
@@ -320,6 +326,7 @@ impl Rig {
         self.driver_lost = 0.0;
         let out = self.driver.step(&RobotInput {
             time: t,
+            clock: self.now(),
             q,
             qd,
             may_move,
@@ -336,7 +343,7 @@ impl Rig {
         }
         inputs.write_int(24, command as i32);
         inputs.write_int(25, self.heartbeat);
-        self.input.speed_scaling = factor;
+        self.input.speed_scaling = self.driver.state().map_or(0.0, |s| s.scale);
         self.input.disabled = (!may_move).then(|| "the robot's program does not run".into());
         let stamp = self.now();
         if self.has(FaultKind::JointStates) {
@@ -502,7 +509,7 @@ impl Rig {
         self.sentence = out.status.sentence;
         if let Some(path) = &out.trajectory {
             let arrives = self.time() + self.rng.random_range(0.001..0.005);
-            self.trajectories.push_back((arrives, path.to_trajectory(false)));
+            self.trajectories.push_back((arrives, path.to_trajectory(self.fault.stamped)));
         }
         if let Some(order) = out.gripper
             && !self.has(FaultKind::GripperSilent)

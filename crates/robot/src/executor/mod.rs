@@ -87,6 +87,9 @@ pub struct JointTrajectoryExecutor {
     start: Stamp,
 }
 
+/// A trajectory that replaces a running one is merged into within this time (s).
+const MERGE: f64 = 0.02;
+
 impl JointTrajectoryExecutor {
     /// Without a trajectory; [`Self::sample`] gives nothing until the first one or a [`Self::hold`].
     pub fn new(params: ExecutorParams) -> Self {
@@ -124,10 +127,14 @@ impl JointTrajectoryExecutor {
         let from = self.sample(at).unwrap_or(*current);
         let begin = trajectory.stamp.map_or(0.0, |s| s.since(now));
         let mut knots = vec![Knot { time: 0.0, q: from.q, qd: Some(from.qd), qdd: None }];
-        for p in &trajectory.points {
+        let moving = self.is_moving(at);
+        for (i, p) in trajectory.points.iter().enumerate() {
             let time = begin + p.time_from_start;
-            // Points that lie in the past are skipped: the path goes from here to the next one.
-            if time > 1e-9 {
+            // Points that lie in the past are skipped: the path goes from here to the next one. So are
+            // those of the next moment while another trajectory runs: a message that came some
+            // milliseconds early or late must not make the arm hurry or wait.
+            let first = if moving && i + 1 < trajectory.points.len() { MERGE } else { 1e-9 };
+            if time > first {
                 let pick = |v: &[f64]| -> Option<Joints> {
                     (v.len() == 6).then(|| std::array::from_fn(|i| v[order[i]]))
                 };
@@ -147,6 +154,13 @@ impl JointTrajectoryExecutor {
         self.knots = knots;
         self.start = at;
         Ok(())
+    }
+
+    /// Greatest mean speed (rad/s) of a joint on the way from the present state to the first point.
+    pub fn entry_speed(&self) -> f64 {
+        let [a, b, ..] = self.knots.as_slice() else { return 0.0 };
+        let far = (0..6).map(|i| (b.q[i] - a.q[i]).abs()).fold(0.0, f64::max);
+        far / (b.time - a.time).max(1e-9)
     }
 
     /// Comes to rest from state `from`: all joints together with constant deceleration, the fastest one

@@ -12,6 +12,9 @@ use crate::limits::Limits;
 use tdv_geometry::Stamp;
 use thiserror::Error;
 
+/// Share of the joint speed limit at which a trajectory may be entered.
+const ENTRY: f64 = 1.3;
+
 /// Who may command the arm; at most one at a time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MotionController {
@@ -44,6 +47,16 @@ pub enum MotionRefusal {
     /// The trajectory is refused.
     #[error(transparent)]
     Trajectory(#[from] TrajectoryRejection),
+    /// The trajectory begins too far from where the arm is.
+    #[error(
+        "the trajectory begins too far from the arm: {speed:.2} rad/s to its first point, {limit:.2} is allowed"
+    )]
+    Entry {
+        /// Rad/s.
+        speed: f64,
+        /// Rad/s.
+        limit: f64,
+    },
     /// Not six finite numbers.
     #[error("a command of {0} values; six finite ones are needed")]
     Values(usize),
@@ -63,6 +76,8 @@ pub struct MotionParams {
 pub struct RobotInput {
     /// The robot's own clock (s): only differences count.
     pub time: f64,
+    /// The graph's clock at the same moment.
+    pub clock: Stamp,
     /// Measured joints (rad).
     pub q: Joints,
     /// Measured speeds (rad/s).
@@ -370,7 +385,17 @@ impl Motion {
     fn begin(&mut self, t: &JointTrajectory, now: Stamp) -> Result<(), MotionRefusal> {
         let robot = self.ready(MotionController::Trajectory)?;
         let current = self.desired.unwrap_or(Desired { q: robot.q, qd: [0.0; 6] });
-        Ok(self.executor.accept_at(t, now, self.time, &current)?)
+        // Between two states of the robot trajectory time goes on too.
+        let late = now.since(robot.clock).clamp(0.0, SpeedScale::LONGEST_STEP);
+        let at = self.time.plus(late * self.scale.factor());
+        let mut executor = self.executor.clone();
+        executor.accept_at(t, now, at, &current)?;
+        let (speed, limit) = (executor.entry_speed(), ENTRY * self.params.limits.joint_velocity);
+        if speed > limit {
+            return Err(MotionRefusal::Entry { speed, limit });
+        }
+        self.executor = executor;
+        Ok(())
     }
 
     fn stream_command(

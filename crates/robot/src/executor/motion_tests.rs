@@ -19,6 +19,7 @@ impl Bench {
         let motion = Motion::new(MotionParams { limits, following: 0.25 });
         let input = RobotInput {
             time: 500.0,
+            clock: NOW,
             q: Q,
             qd: [0.0; 6],
             may_move: true,
@@ -44,6 +45,7 @@ impl Bench {
                     self.input.qd[i] = step / DT;
                 }
                 self.input.time += DT;
+                self.input.clock = self.input.clock.plus(DT);
                 out.target
             })
             .collect()
@@ -179,8 +181,12 @@ fn a_stop_forgets_and_a_late_driver_starts_anew() {
 #[test]
 fn a_fault_stays_until_reset() {
     let mut b = Bench::new();
-    b.motion.follow_goal(&to(1.2, 0.2), GoalTolerances::default(), NOW).unwrap();
-    b.run(30);
+    // Gently at first, then far too fast.
+    let mut t = to(1.2, 0.4);
+    let gentle = to(0.05, 0.2).points.remove(0);
+    t.points.insert(0, TrajectoryPoint { velocities: Vec::new(), ..gentle });
+    b.motion.follow_goal(&t, GoalTolerances::default(), NOW).unwrap();
+    b.run(60);
     assert!(b.fault.is_some() && b.motion.fault().is_some());
     assert_eq!(b.ended[0].code, GoalCode::InvalidGoal);
     assert!(matches!(b.motion.follow(&to(0.0, 1.0), NOW), Err(MotionRefusal::Fault(_))));
@@ -244,4 +250,54 @@ fn released_switch_and_lost_connection() {
     b.motion.forget();
     assert_eq!(b.motion.follow(&to(0.0, 1.0), NOW), Err(MotionRefusal::NoState));
     assert!(b.motion.state().is_none());
+}
+
+#[test]
+fn a_trajectory_that_begins_elsewhere_is_refused() {
+    let mut b = Bench::new();
+    let refusal = b.motion.follow(&to(0.4, 0.2), NOW).unwrap_err();
+    assert!(matches!(refusal, MotionRefusal::Entry { .. }), "{refusal}");
+    assert!(b.run(5).iter().all(Option::is_none));
+}
+
+/// Messages are some milliseconds early or late: the path that is followed must not be.
+#[test]
+fn jitter_of_arrival_makes_no_step() {
+    for stamped in [true, false] {
+        let mut b = Bench::new();
+        let mut late = 0.0;
+        let mut last: Option<Joints> = None;
+        let mut fastest: f64 = 0.0;
+        for n in 0..400_u32 {
+            if n % 2 == 0 {
+                // 0.5 rad/s for ever, told anew every 16 ms, 1 to 5 ms on the way.
+                let sent = 0.008 * f64::from(n);
+                late = 0.001 + 0.004 * f64::from((n * 7) % 11) / 10.0;
+                let at = |t: f64| Q.map(|q| q + 0.5 * (sent + t));
+                let point = |t: f64, v: f64| TrajectoryPoint {
+                    positions: at(t).to_vec(),
+                    velocities: vec![v; 6],
+                    time_from_start: t,
+                    ..Default::default()
+                };
+                let trajectory = JointTrajectory {
+                    names: JOINT_NAMES.map(String::from).to_vec(),
+                    stamp: stamped.then(|| NOW.plus(sent)),
+                    points: (0..=8)
+                        .map(|i| point(0.008 * f64::from(i), 0.5))
+                        .chain([point(0.2, 0.0)])
+                        .collect(),
+                };
+                b.motion.follow(&trajectory, NOW.plus(sent + late)).unwrap();
+            }
+            let target = b.run(1)[0];
+            if let (Some(a), Some(c), true) = (last, target, n > 20) {
+                fastest = fastest.max((c[0] - a[0]) / DT);
+            }
+            last = target;
+        }
+        assert!(b.fault.is_none() && late > 0.0, "{:?}", b.fault);
+        let allowed = if stamped { 0.502 } else { 0.62 };
+        assert!(fastest < allowed, "stamped {stamped}: {fastest} rad/s instead of 0.5");
+    }
 }
