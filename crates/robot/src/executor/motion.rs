@@ -116,6 +116,16 @@ pub struct Follow {
     pub scale: f64,
 }
 
+impl Follow {
+    /// Desired less measured.
+    pub fn error(&self) -> Desired {
+        Desired {
+            q: std::array::from_fn(|i| self.desired.q[i] - self.actual.q[i]),
+            qd: std::array::from_fn(|i| self.desired.qd[i] - self.actual.qd[i]),
+        }
+    }
+}
+
 #[derive(Debug, Clone)]
 struct Goal {
     id: u64,
