@@ -39,7 +39,11 @@ struct Assembler {
 }
 
 impl Assembler {
-    fn push(&mut self, bytes: &[u8], mut take: impl FnMut(String) -> Result<(), String>) -> Result<(), String> {
+    fn push(
+        &mut self,
+        bytes: &[u8],
+        mut take: impl FnMut(String) -> Result<(), String>,
+    ) -> Result<(), String> {
         for part in bytes.split_inclusive(|b| *b == b'\n') {
             self.line.extend_from_slice(part);
             if self.line.len() + self.program.len() > MAX_SCRIPT {
