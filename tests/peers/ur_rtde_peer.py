@@ -83,7 +83,8 @@ def moves(lab, control, receive):
     pose[2] += 0.05
     check("moveL", control.moveL(pose, 0.25, 1.2) and near(lab.truth()["tcp"], pose, 1e-5))
     path = [q + [1.0, 1.5, 0.0] for q in (lab.truth()["q"], q)]
-    check("moveJ along a path", control.moveJ(path) and near(lab.truth()["q"], q))
+    # ur_rtde writes the path into its program as text with six digits.
+    check("moveJ along a path", control.moveJ(path) and near(lab.truth()["q"], q, 1e-4))
     back = list(q)
     back[0] -= 0.5
     check("asynchronous moveJ returns at once", control.moveJ(back, 0.5, 1.0, True))
