@@ -209,7 +209,7 @@ pub(crate) fn element(value: &Value, indices: &[Value]) -> Result<Value> {
 pub(crate) fn position(index: &Value, len: usize, what: &str) -> Result<usize> {
     let whole = index.integer();
     let whole = whole.ok_or_else(|| {
-        ErrorKind::of_type(format!("the index is {index} of type {}", index.kind()))
+        ErrorKind::of_type(format!("an index is a whole number, not {}", index.kind()))
     })?;
     match usize::try_from(whole) {
         Ok(at) if at < len => Ok(at),

@@ -109,9 +109,9 @@ fn number_of(value: &Value) -> Result<f64> {
 }
 
 fn integer_of(value: &Value) -> Result<i32> {
-    value
-        .integer()
-        .ok_or_else(|| ErrorKind::of_type(format!("an integer is needed, not {value:.40}")))
+    value.integer().ok_or_else(|| {
+        ErrorKind::of_type(format!("a whole number is needed, not {}", value.kind()))
+    })
 }
 
 fn six(value: &Value) -> Result<[f64; 6]> {

@@ -6,6 +6,7 @@ use crate::builtins;
 use crate::code::{Code, Op, PathStep, Slot};
 use crate::error::{ErrorKind, ScriptError};
 use crate::host::{Call, Host, Reply, ThreadId};
+use crate::limits::STACK;
 use crate::operators;
 use crate::value::{List, Record, Value};
 use std::sync::Arc;
@@ -41,9 +42,11 @@ impl Machine {
         loop {
             // Another thread's end may have moved this one.
             let Some(at) = task.position(id) else { return Ok(Next::Ended(id)) };
-            let Some(frame) = task.threads[at].frames.last_mut() else {
-                return Ok(Next::Ended(id));
-            };
+            let thread = &mut task.threads[at];
+            if thread.budget == 0 {
+                return self.overrun(&code, thread);
+            }
+            let Some(frame) = thread.frames.last_mut() else { return Ok(Next::Ended(id)) };
             let routine = &code.routines[frame.routine];
             let (op, line) = (&routine.ops[frame.at], routine.lines[frame.at]);
             frame.at += 1;
@@ -66,7 +69,7 @@ impl Machine {
         host: &mut dyn Host,
     ) -> Kind<Option<Next>> {
         let id = task.threads[at].id;
-        charge(&mut task.threads[at], 1)?;
+        charge(&mut task.threads[at], 1);
         let running = task.threads.len();
         let thread = &mut task.threads[at];
         match op {
@@ -128,7 +131,7 @@ impl Machine {
             Op::Binary(operator) => {
                 let (b, a) = (pop(thread), pop(thread));
                 // A product of matrices costs more than its operands are big.
-                charge(thread, product_cost(a.weight(), b.weight()))?;
+                charge(thread, product_cost(a.weight(), b.weight()));
                 let value = operators::binary(*operator, &a, &b)?;
                 self.made(task, at, value)?;
             }
@@ -165,7 +168,7 @@ impl Machine {
                     .stack
                     .split_off(thread.stack.len().saturating_sub(signature.parameters.len()));
                 let cost = args.iter().map(Value::weight).sum::<usize>();
-                charge(thread, cost as u64 / 4)?;
+                charge(thread, cost as u64 / 4);
                 let value = builtins::call(*number, &args, &mut self.random, self.limits.value)
                     .map_err(|kind| kind.inside(&signature.name))?;
                 self.made(task, at, value)?;
@@ -226,8 +229,9 @@ impl Machine {
             Op::Sleep => {
                 let value = pop(thread);
                 let seconds = value.number().filter(|s| !s.is_nan());
-                let seconds =
-                    seconds.ok_or_else(|| ErrorKind::of_type(format!("sleep of {value}")))?;
+                let seconds = seconds.ok_or_else(|| {
+                    ErrorKind::of_type(format!("sleep needs a number, not {}", value.kind()))
+                })?;
                 thread.stack.push(Value::Nothing);
                 let cycles = (seconds / self.period - 1e-6).ceil().clamp(1.0, 1e15);
                 return Ok(Some(self.pause(thread, cycles as u64)));
@@ -247,8 +251,20 @@ impl Machine {
         Ok(None)
     }
 
+    /// The thread computed through its whole slice. It goes on in the next cycle, but not for ever.
+    fn overrun(&self, code: &Code, thread: &mut Thread) -> Result<Next, ScriptError> {
+        thread.overruns += 1;
+        if thread.overruns > self.limits.overruns {
+            let line = thread.frames.last().map_or(0, |f| code.routines[f.routine].lines[f.at]);
+            return Err(ErrorKind::Endless.at(line));
+        }
+        thread.spent = true;
+        Ok(Next::Paused(thread.id))
+    }
+
     /// The slice is used up; the thread goes on so many cycles later.
     fn pause(&self, thread: &mut Thread, cycles: u64) -> Next {
+        thread.overruns = 0;
         thread.spent = true;
         thread.wait = Wait::Cycle(self.cycle.saturating_add(cycles));
         Next::Paused(thread.id)
@@ -256,7 +272,7 @@ impl Machine {
 
     fn call(&self, code: &Code, number: usize, thread: &mut Thread) -> Kind<()> {
         let routine = &code.routines[number];
-        if thread.frames.len() >= self.limits.frames {
+        if thread.frames.len() >= self.limits.frames || thread.stack.len() > STACK {
             let depth = self.limits.frames;
             return Err(ErrorKind::Limit(format!(
                 "call of '{}': functions call each other {depth} deep",
@@ -264,7 +280,7 @@ impl Machine {
             )));
         }
         let n = routine.parameters.len();
-        charge(thread, routine.locals.len() as u64 / 8)?;
+        charge(thread, routine.locals.len() as u64 / 8);
         let args = thread.stack.split_off(thread.stack.len().saturating_sub(n));
         let mut locals: Vec<Option<Value>> = args.into_iter().map(Some).collect();
         locals.resize(routine.locals.len(), None);
@@ -300,6 +316,7 @@ impl Machine {
             }
             Reply::Wait => {
                 pending.waited += 1;
+                task.threads[at].overruns = 0;
                 task.threads[at].wait = Wait::Host(pending);
                 task.threads[at].spent = true;
                 return Ok(Some(Next::Paused(id)));
@@ -319,7 +336,7 @@ impl Machine {
                     self.limits.value
                 )));
             }
-            charge(&mut task.threads[at], weight as u64 / 4)?;
+            charge(&mut task.threads[at], weight as u64 / 4);
             self.account(task, weight)?;
         }
         task.threads[at].stack.push(value);
@@ -372,7 +389,7 @@ impl Machine {
             )));
         }
         // The whole list may have been copied for the change.
-        charge(thread, weight as u64 / 8)?;
+        charge(thread, weight as u64 / 8);
         *variable(thread, &mut task.globals, slot) = Some(base);
         self.account(task, weight)
     }
@@ -424,9 +441,8 @@ fn replace(base: &mut Value, keys: &[Key<'_>], value: Value) -> Kind<()> {
 }
 
 /// Takes instructions from the slice.
-fn charge(thread: &mut Thread, cost: u64) -> Kind<()> {
-    thread.budget = thread.budget.checked_sub(cost).ok_or(ErrorKind::Endless)?;
-    Ok(())
+fn charge(thread: &mut Thread, cost: u64) {
+    thread.budget = thread.budget.saturating_sub(cost);
 }
 
 /// Instructions that an operation on values of these sizes counts for.

@@ -3,7 +3,7 @@
 use super::{KEYWORDS, Parser, Result, describe};
 use crate::error::ErrorKind;
 use crate::lexer::Token;
-use crate::limits::{EXPRESSION_HEIGHT, LOCALS};
+use crate::limits::{EXPRESSION_HEIGHT, LITERAL, LOCALS};
 use crate::syntax::{Binary, Call, Expr, ExprKind, Name, Unary};
 use crate::value::Value;
 
@@ -247,6 +247,10 @@ impl Parser<'_> {
         let mut items = Vec::new();
         while !self.is_sign(close) {
             items.push(self.expression()?);
+            if items.len() > LITERAL {
+                return Err(ErrorKind::limit(format!("a list of more than {LITERAL} elements"))
+                    .at(self.line()));
+            }
             if !self.take_sign(",") {
                 break;
             }
