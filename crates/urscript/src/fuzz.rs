@@ -8,12 +8,12 @@ use proptest::prelude::*;
 const SEEDS: [&str; 5] = [
     "def prog():\n  global a = [1, 2.5, -3]\n  def f(x, y = 2):\n    local z = x * y\n    if z > 4 and not x == 1:\n      return z\n    elif z < 0 or x != y: return -z\n    else:\n      a[1] = z / 3 % 2\n    end\n    return f(x + 1, y = y)\n  end\n  b = f(1)\n  while b < 30:\n    b = b + f(2)\n    if b > 20:\n      break\n    end\n    continue\n  end\nend\n",
     "def prog():\n  n = 0\n  thread t():\n    while True:\n      enter_critical\n      n = n + 1\n      exit_critical\n      sync()\n    end\n  end\n  h = run t()\n  g = run t()\n  sleep(0.05)\n  kill h\n  movej([0, 1, 2, 3, 4, 5], a = 2, t = 1)\n  join g\nend\n",
-    "p = p[1, 2, 3, 0.1, 0.2, 0.3]\np[0] = norm(pose_trans(p, pose_inv(p)))\nm = [[1, 2], [3, 4]]\nm[0, 1] = m[1][0]\nm = inv(m) * transpose(m) + m\ns = struct(a = [1, [2, 3]], b = \"x\\n\")\ns.a[1][0] = length(s.a)\ntextmsg(str_cat(s, to_str(m)), size(m))\n",
+    "p = p[1, 2, 3, 0.1, 0.2, 0.3]\np[0] = norm(pose_trans(p, pose_inv(p)))\nm = [[1, 2], [3, 4]]\nm[0, 1] = m[1][0]\nm = inv(m) * transpose(m) + m\ns = struct(a = [1, [2, 3]], b = \"x\\n\")\ns.a[1][0] = length(s.a)\nl = make_list(1, 0, 50)\nl.append(2)\nl.extend(l)\nl.insert(1, 3)\nl.remove(0)\ns.a[1].pop()\ntextmsg(str_cat(s, to_str(m)), m.shape())\n",
     "sec s():\n  set_standard_digital_out(0, True)\n  x = binary_list_to_integer(integer_to_binary_list(0xFF))\n  $ 3 \"label\" \"noBreak\"\n  halt\nend\ndef main():\n  i = 0\n  l = make_list(10, [0, 1])\n  while i < 10:\n    l[i] = [i, str_sub(\"hello\", i / 2)]; i = i + 1\n  end\nend",
     "def prog():\n  q = get_actual_joint_positions()\n  while True:\n    q[0] = q[0] + 0.001 * sin(random())\n    servoj(q, t = 0.008, lookahead_time = 0.1, gain = 300)\n    l = [q, q]\n    l = [l, l]\n    s = to_str(l)\n  end\nend\n",
 ];
 
-const WORDS: [&str; 72] = [
+const WORDS: [&str; 76] = [
     "def",
     "end",
     "thread",
@@ -84,6 +84,10 @@ const WORDS: [&str; 72] = [
     "x = 1\n",
     "end\n",
     "f(x)",
+    "x.append(x)\n",
+    "x.extend(x)\n",
+    ".slice(0, 1)",
+    "make_list(1, 0, 99)",
     "x[0]",
     "$ 1 \"a\"",
 ];

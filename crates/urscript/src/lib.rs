@@ -10,6 +10,7 @@ mod host;
 mod lexer;
 mod limits;
 mod machine;
+mod methods;
 mod operators;
 mod parser;
 mod script;

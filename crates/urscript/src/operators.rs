@@ -199,6 +199,9 @@ pub(crate) fn element(value: &Value, indices: &[Value]) -> Result<Value> {
         here = match &here {
             Value::List(l) => l.items()[position(index, l.items().len(), "list")?].clone(),
             Value::Pose(p) => Value::Float(p[position(index, 6, "pose")?]),
+            Value::Struct(r) => {
+                r.members()[position(index, r.members().len(), "struct")?].1.clone()
+            }
             other => return Err(ErrorKind::of_type(format!("{} has no elements", other.kind()))),
         };
     }

@@ -135,7 +135,7 @@ fn logic_stops_at_the_first_answer() {
 fn built_ins() {
     for (text, value) in [
         ("norm([3, 4])", "5"),
-        ("norm(p[0, 3, 4, 9, 9, 9])", "5"),
+        ("norm(p[-.2, .2, -.2, -1.57, 0, 3.14])", "3.52768"),
         ("floor(-1.5)", "-2"),
         ("ceil(1.2)", "2"),
         ("atan2(1, 1) * 4", "3.14159"),
@@ -168,6 +168,96 @@ fn built_ins() {
     ] {
         assert_eq!(eval(text), value, "{text}");
     }
+}
+
+/// Arguments and results of the examples of the script manual, "Module urmath".
+#[test]
+fn examples_of_the_manual() {
+    for (text, value) in [
+        ("norm(-5.3)", "5.3"),
+        ("normalize([0, 5, 0])", "[0, 1, 0]"),
+        ("binary_list_to_integer([True, False, False, True])", "9"),
+        ("log(10., 4.)", "0.60206"),
+        ("size([[1, 2], [3, 4], [5, 6]])", "[3, 2]"),
+        ("transpose([1, 2, 3])", "[[1], [2], [3]]"),
+        ("transpose([[1], [2], [3]])", "[1, 2, 3]"),
+        ("inv([[0, 1, 0], [0, 0, 1], [1, 0, 0]])", "[[0, 0, 1], [1, 0, 0], [0, 1, 0]]"),
+        (
+            "interpolate_pose(p[.2, .2, .4, 0, 0, 0], p[.2, .2, .6, 0, 0, 0], .5)",
+            "p[0.2, 0.2, 0.5, 0, 0, 0]",
+        ),
+        (
+            "pose_add(p[.2, .5, .1, 1.57, 0, 0], p[.2, .5, .6, 1.57, 0, 0])",
+            "p[0.4, 1, 0.7, 3.14, 0, 0]",
+        ),
+        (
+            "pose_sub(p[.2, .5, .1, 1.57, 0, 0], p[.2, .5, .6, 1.57, 0, 0])",
+            "p[0, 0, -0.5, 0, 0, 0]",
+        ),
+        ("121 % [[10, 20], [30, 40]]", "[[1, 1], [1, 1]]"),
+        ("[10, 20, 30] / [1, 2, 3]", "[10, 10, 10]"),
+        ("struct(a = 1, b = 7)[1]", "7"),
+    ] {
+        assert_eq!(eval(text), value, "{text}");
+    }
+    for (text, wanted) in [
+        (
+            "pose_inv(p[.2, .5, .1, 1.57, 0, 3.14])",
+            vec![0.19324, 0.41794, -0.29662, 1.23993, 0.0, 2.47985],
+        ),
+        (
+            "pose_trans(p[.2, .5, .1, 1.57, 0, 0], p[.2, .5, .6, 1.57, 0, 0])",
+            vec![0.4, -0.0996, 0.60048, 3.14, 0.0, 0.0],
+        ),
+        ("rotvec2rpy([3.14, 1.57, 0])", vec![-2.80856, -0.16202, 0.9]),
+        ("rpy2rotvec([3.14, 1.57, 0])", vec![2.22153, 0.00177, -2.21976]),
+    ] {
+        let text = format!("x = {text}\nsync()");
+        let mut machine = Machine::new(0.008, Limits::default(), 7);
+        machine.start(&load(&text).unwrap()[0], &mut ()).unwrap();
+        machine.cycle(&mut ());
+        let is = machine.global("x").and_then(Value::vector).unwrap();
+        assert_eq!(is.len(), wanted.len());
+        // The manual rounds to five places, and its half turns to two.
+        assert!(is.iter().zip(&wanted).all(|(a, b)| (a - b).abs() < 2e-3), "{text}: {is:?}");
+    }
+}
+
+#[test]
+fn lists_keep_their_capacity() {
+    let text = "
+        l = make_list(2, 0, capacity = 4)
+        l.append(7)
+        l.insert(0, 5)
+        note(l, l.excess_capacity())
+        l.remove(1)
+        l.pop()
+        note(l, l.capacity())
+        l.extend([1, 2])
+        note(l.slice(1, 3), l.length())
+        s = struct(m = make_list(0, 0, 3))
+        s.m.append(4)
+        note(s.m.to_string())
+        l.clear()
+        m = [[1, 2], [3, 4], [5, 6]]
+        note(m.get_column(1), m.shape())
+        l = [9]
+        note(l, l.capacity())";
+    assert_eq!(
+        notes(text),
+        ["[5, 0, 0, 7]0", "[5, 0]4", "[0, 1]4", "[4]", "[2, 4, 6][3, 2]", "[9]4"]
+    );
+    assert_eq!(
+        failure("a = [1, 2]\na = [1, 2, 3]").to_string(),
+        "line 2: value error: a list of 3 elements where 2 have room"
+    );
+    assert!(matches!(failure("a = [1, 2]\na.append(3)").kind, ErrorKind::Value(_)));
+    assert!(matches!(failure("a = make_list(1, 0, 5)\na.append(\"x\")").kind, ErrorKind::Type(_)));
+    assert_eq!(error("a = [1]\na.push(3)"), "line 2: name '.push' is not defined");
+    assert_eq!(
+        error("[1].append(3)"),
+        "line 1: syntax error: only variables and their elements can be changed"
+    );
 }
 
 #[test]
@@ -298,7 +388,7 @@ fn errors_before_the_run_name_line_and_reason() {
         ),
         ("x = 1\nend", "line 2: syntax error: 'end' without a block that it belongs to"),
         ("x = )", "line 1: syntax error: an expression expected before ')'"),
-        ("1 = x", "line 1: syntax error: only variables and their elements can be assigned to"),
+        ("1 = x", "line 1: syntax error: only variables and their elements can be changed"),
         ("x = p[1, 2, 3]", "line 1: syntax error: a pose has 6 elements, not 3"),
         ("break", "line 1: syntax error: 'break' outside of a loop"),
         (
@@ -466,7 +556,7 @@ fn bounds_hold() {
         "def f(x):\n return f(x)\nend\ny = f(1)",
         "x = make_list(100000, 0)",
         "s = \"0123456789abcdef\"\nwhile True:\n s = str_cat(s, s)\nend",
-        "l = [1]\nwhile True:\n l = [l, l]\nend",
+        "l = [1, 2]\nwhile True:\n l = [l, l]\nend",
         "thread t():\n sync()\n sync()\nend\nwhile True:\n h = run t()\nend",
         "m = make_list(60, make_list(60, 0))\nl = make_list(1, 0)\ndef f(a, n):\n b = a + 0\n return f(b, n + 1)\nend\nx = f(m, 0)",
     ] {

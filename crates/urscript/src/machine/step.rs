@@ -7,8 +7,9 @@ use crate::code::{Code, Op, PathStep, Slot};
 use crate::error::{ErrorKind, ScriptError};
 use crate::host::{Call, Host, Reply, ThreadId};
 use crate::limits::STACK;
+use crate::methods;
 use crate::operators;
-use crate::value::{List, Record, Value};
+use crate::value::{self, List, Record, Value};
 use std::sync::Arc;
 
 /// Why a thread stopped running for now.
@@ -81,19 +82,21 @@ impl Machine {
             }
             Op::Store(slot) => {
                 let value = pop(thread);
+                let routine = thread.frames.last().map_or(0, |f| f.routine);
                 let place = variable(thread, &mut task.globals, *slot);
-                if let Some(old) = place
-                    && !old.may_become(&value)
-                {
-                    let (from, to) = (old.kind(), value.kind());
-                    let name = slot_name(code, thread, *slot);
-                    let reason =
-                        format!("the variable '{name}' is of type {from} and cannot become {to}");
-                    return Err(ErrorKind::Type(reason));
+                match place {
+                    Some(old) => value::assign(old, value, || {
+                        format!("the variable '{}'", slot_name(code, routine, *slot))
+                    })?,
+                    None => *place = Some(value),
                 }
-                *place = Some(value);
             }
-            Op::StoreElement(slot, path) => self.store_element(code, *slot, path, task, at)?,
+            Op::StoreElement(slot, path) => {
+                let value = pop(thread);
+                self.change(code, *slot, path, task, at, |place| {
+                    value::assign(place, value.clone(), || "the element".into())
+                })?;
+            }
             Op::Index(n) => {
                 let indices = thread.stack.split_off(thread.stack.len().saturating_sub(*n));
                 let base = pop(thread);
@@ -106,6 +109,19 @@ impl Machine {
                 };
                 let missing = || ErrorKind::Value(format!("the struct has no member '{name}'"));
                 thread.stack.push(record.get(name).cloned().ok_or_else(missing)?);
+            }
+            Op::Ask(method, n) => {
+                let args = thread.stack.split_off(thread.stack.len().saturating_sub(*n));
+                let base = pop(thread);
+                let value = methods::ask(*method, &base, &args)?;
+                self.made(task, at, value)?;
+            }
+            Op::Change(slot, path, method, n) => {
+                let args = thread.stack.split_off(thread.stack.len().saturating_sub(*n));
+                self.change(code, *slot, path, task, at, |place| {
+                    methods::change(*method, place, &args)
+                })?;
+                task.threads[at].stack.push(Value::Nothing);
             }
             Op::List(n) => {
                 let items = thread.stack.split_off(thread.stack.len().saturating_sub(*n));
@@ -358,16 +374,17 @@ impl Machine {
         Ok(())
     }
 
-    fn store_element(
+    /// Changes an element of a variable in place; the indices of the path lie on the stack.
+    fn change(
         &self,
         code: &Code,
         slot: Slot,
         path: &[PathStep],
         task: &mut Task,
         at: usize,
+        edit: impl FnOnce(&mut Value) -> Kind<()>,
     ) -> Kind<()> {
         let thread = &mut task.threads[at];
-        let value = pop(thread);
         let n: usize = path.iter().map(|s| if let PathStep::Index(n) = s { *n } else { 0 }).sum();
         let indices = thread.stack.split_off(thread.stack.len().saturating_sub(n));
         let base = variable(thread, &mut task.globals, slot).take();
@@ -380,7 +397,7 @@ impl Machine {
                 PathStep::Member(name) => keys.push(Key::Member(name)),
             }
         }
-        replace(&mut base, &keys, value)?;
+        change(&mut base, &keys, edit)?;
         let weight = base.weight();
         if weight > self.limits.value {
             return Err(ErrorKind::Limit(format!(
@@ -401,42 +418,72 @@ enum Key<'a> {
     Member(&'a str),
 }
 
-/// Sets the element that the keys lead to.
-fn replace(base: &mut Value, keys: &[Key<'_>], value: Value) -> Kind<()> {
-    let Some((key, rest)) = keys.split_first() else {
-        if !base.may_become(&value) {
-            let (from, to) = (base.kind(), value.kind());
-            return Err(ErrorKind::Type(format!(
-                "the element is of type {from} and cannot become {to}"
-            )));
-        }
-        *base = value;
-        return Ok(());
-    };
+/// Changes the element that the keys lead to.
+fn change(
+    base: &mut Value,
+    keys: &[Key<'_>],
+    edit: impl FnOnce(&mut Value) -> Kind<()>,
+) -> Kind<()> {
+    // Down the path, taking each value out of the one around it, and up again.
+    let mut around = Vec::new();
+    let mut here = std::mem::replace(base, Value::Nothing);
+    for key in keys {
+        let inner = take(&mut here, key)?;
+        around.push(std::mem::replace(&mut here, inner));
+    }
+    edit(&mut here)?;
+    for (key, mut outer) in keys.iter().zip(around).rev() {
+        put(&mut outer, key, here)?;
+        here = outer;
+    }
+    *base = here;
+    Ok(())
+}
+
+fn take(base: &mut Value, key: &Key<'_>) -> Kind<Value> {
     match (base, key) {
         (Value::List(list), Key::Index(index)) => {
             let at = operators::position(index, list.items().len(), "list")?;
-            let mut inner = list.take(at).unwrap_or(Value::Nothing);
-            replace(&mut inner, rest, value)?;
-            list.replace(at, inner)
+            Ok(list.take(at).unwrap_or(Value::Nothing))
         }
-        (Value::Pose(pose), Key::Index(index)) if rest.is_empty() => {
-            let at = operators::position(index, 6, "pose")?;
-            let wrong =
-                || ErrorKind::Type(format!("an element of a pose cannot become {}", value.kind()));
-            pose[at] = value.number().ok_or_else(wrong)?;
-            Ok(())
+        (Value::Pose(pose), Key::Index(index)) => {
+            Ok(Value::Float(pose[operators::position(index, 6, "pose")?]))
         }
-        (Value::Struct(record), Key::Member(name)) => {
-            let missing = || ErrorKind::Value(format!("the struct has no member '{name}'"));
-            let mut inner = record.take(name).ok_or_else(missing)?;
-            replace(&mut inner, rest, value)?;
-            record.replace(name, inner)
+        (Value::Struct(record), Key::Member(name)) => record
+            .take(name)
+            .ok_or_else(|| ErrorKind::Value(format!("the struct has no member '{name}'"))),
+        (Value::Struct(record), Key::Index(index)) => {
+            let at = operators::position(index, record.members().len(), "struct")?;
+            let name = record.members()[at].0.clone();
+            Ok(record.take(&name).unwrap_or(Value::Nothing))
         }
         (base, Key::Index(_)) => Err(ErrorKind::Type(format!("{} has no elements", base.kind()))),
         (base, Key::Member(name)) => {
             Err(ErrorKind::Type(format!("{} has no member '{name}'", base.kind())))
         }
+    }
+}
+
+/// Puts a value back where [`take`] found it.
+fn put(base: &mut Value, key: &Key<'_>, value: Value) -> Kind<()> {
+    match (base, key) {
+        (Value::List(list), Key::Index(index)) => {
+            list.replace(operators::position(index, list.items().len(), "list")?, value)
+        }
+        (Value::Pose(pose), Key::Index(index)) => {
+            let number = value
+                .number()
+                .ok_or_else(|| ErrorKind::of_type("an element of a pose is a number"))?;
+            pose[operators::position(index, 6, "pose")?] = number;
+            Ok(())
+        }
+        (Value::Struct(record), Key::Member(name)) => record.replace(name, value),
+        (Value::Struct(record), Key::Index(index)) => {
+            let at = operators::position(index, record.members().len(), "struct")?;
+            let name = record.members()[at].0.clone();
+            record.replace(&name, value)
+        }
+        _ => Ok(()),
     }
 }
 
@@ -481,16 +528,14 @@ fn variable<'a>(
     }
 }
 
-fn slot_name(code: &Code, thread: &Thread, slot: Slot) -> String {
+fn slot_name(code: &Code, routine: usize, slot: Slot) -> String {
     match slot {
         Slot::Global(at) => code.globals[at].to_string(),
-        Slot::Local(at) => {
-            let routine = thread.frames.last().map_or(0, |f| f.routine);
-            code.routines[routine].locals[at].to_string()
-        }
+        Slot::Local(at) => code.routines[routine].locals[at].to_string(),
     }
 }
 
 fn unset(code: &Code, thread: &Thread, slot: Slot) -> ErrorKind {
-    ErrorKind::NotDefined(slot_name(code, thread, slot))
+    let routine = thread.frames.last().map_or(0, |f| f.routine);
+    ErrorKind::NotDefined(slot_name(code, routine, slot))
 }
