@@ -11,8 +11,9 @@ pub mod motion;
 pub mod urdf;
 
 pub use executor::{
-    Desired, ExecutorParams, JointTrajectory, JointTrajectoryExecutor, TargetGuard,
-    TrajectoryPoint, TrajectoryRejection,
+    Desired, ExecutorParams, GoalCode, GoalEndReport, GoalTolerances, JointTrajectory,
+    JointTrajectoryExecutor, Motion, MotionController, MotionParams, MotionRefusal, RobotInput,
+    StepOutput, TargetGuard, TrajectoryPoint, TrajectoryRejection,
 };
 pub use kinematics::{
     Dexterity, DhTable, IkError, IkSelection, IkSolutions, JOINT_NAMES, Joints, Kinematics,

@@ -138,6 +138,24 @@ impl RobotModel {
         self.nodes.iter().map(|n| n.link.as_str()).zip(poses).collect()
     }
 
+    /// Each link but the root with its parent: names, `T_parent_link` at arm joints `q` and knuckle angle
+    /// `knuckle` (rad), and whether it is fixed.
+    pub fn joint_transforms(&self, q: &Joints, knuckle: f64) -> Vec<(&str, &str, Pose, bool)> {
+        let nodes = self.nodes.iter();
+        nodes
+            .filter_map(|n| {
+                let parent = self.nodes.get(n.parent?)?;
+                let turn =
+                    n.drive.map_or_else(UnitQuaternion::identity, |(axis, driver, m, offset)| {
+                        let angle = if driver < 6 { q[driver] } else { knuckle };
+                        UnitQuaternion::from_axis_angle(&axis, m * angle + offset)
+                    });
+                let (parent, link) = (parent.link.as_str(), n.link.as_str());
+                Some((parent, link, n.origin * turn, n.drive.is_none()))
+            })
+            .collect()
+    }
+
     /// Least, greatest angle (rad) and greatest speed (rad/s) of a joint.
     pub fn joint_limits(&self, joint: &str) -> Option<(f64, f64, f64)> {
         let j = self.robot.joints.iter().find(|j| j.name == joint)?;
@@ -336,6 +354,18 @@ mod tests {
             assert!(same, "{} has no equal in the URDF", c.name);
         }
         assert!(model().visuals().iter().all(|v| v.color.is_some()));
+    }
+
+    #[test]
+    fn transforms_of_joints_chain_to_the_links_poses() {
+        let (m, q) = (model(), [0.3, -1.1, 1.2, -0.9, -1.4, 0.5]);
+        let at = m.link_poses(&q, 0.4);
+        let joints = m.joint_transforms(&q, 0.4);
+        assert_eq!(joints.len() + 1, m.links().count());
+        assert!(joints.iter().any(|j| j.3) && joints.iter().filter(|j| !j.3).count() >= 6);
+        for (parent, link, pose, _) in joints {
+            assert!(apart(&(at[parent] * pose), &at[link]) < 1e-9, "{link}");
+        }
     }
 
     #[test]

@@ -34,6 +34,18 @@ pub enum GuardError {
         /// Rad.
         allowed: f64,
     },
+    /// The arm does not follow.
+    #[error(
+        "target of {joint} is {apart:.3} rad ahead of the arm, {allowed:.3} is allowed while moving"
+    )]
+    Following {
+        /// The joint.
+        joint: &'static str,
+        /// Rad.
+        apart: f64,
+        /// Rad.
+        allowed: f64,
+    },
     /// The target jumps, or moves too fast.
     #[error("target of {joint} moves {step:.4} rad in {:.0} ms, {allowed:.4} is allowed", .period * 1e3)]
     Step {
@@ -59,13 +71,16 @@ pub struct TargetGuard {
     max_step: f64,
     /// Greatest distance of the first target from the arm (rad).
     first_within: f64,
+    /// Greatest distance of any later target from the arm (rad).
+    following: f64,
     last: Option<(Stamp, Joints)>,
 }
 
 impl TargetGuard {
     /// For the limits of the motion; single steps may be 30 % faster than the joint speed limit (a
     /// preempting trajectory catches up a little), none larger than 0.1 rad, and the first target must
-    /// be within 0.1 rad of the arm.
+    /// be within 0.1 rad of the arm, every other one within 0.25 rad: `servoj` lags by about 40 ms, 0.04 rad at
+    /// 1 rad/s.
     pub fn new(limits: &Limits) -> Self {
         Self {
             lower: limits.joint_lower,
@@ -73,8 +88,16 @@ impl TargetGuard {
             velocity: 1.3 * limits.joint_velocity,
             max_step: 0.1,
             first_within: 0.1,
+            following: 0.25,
             last: None,
         }
+    }
+
+    /// With another bound (rad) on the distance between target and arm while moving.
+    #[must_use]
+    pub fn with_following(mut self, bound: f64) -> Self {
+        self.following = bound;
+        self
     }
 
     /// The next target is a first one again (after a stop, or when the robot was moved by others).
@@ -94,6 +117,8 @@ impl TargetGuard {
     ) -> Result<(), GuardError> {
         /// Shortest time between targets that is believed (s); two in one tick are one step.
         const SHORTEST: f64 = 0.008;
+        /// And the longest: a pause between targets is no licence for a jump.
+        const LONGEST: f64 = 0.05;
         for i in 0..6 {
             let (joint, value) = (JOINT_NAMES[i], target[i]);
             let (lower, upper) = (self.lower[i], self.upper[i]);
@@ -111,7 +136,11 @@ impl TargetGuard {
                     }
                 }
                 Some((at, before)) => {
-                    let period = now.since(*at).max(SHORTEST);
+                    let (apart, allowed) = ((value - measured[i]).abs(), self.following);
+                    if !(apart <= allowed) {
+                        return Err(GuardError::Following { joint, apart, allowed });
+                    }
+                    let period = now.since(*at).clamp(SHORTEST, LONGEST);
                     let (step, allowed) =
                         ((value - before[i]).abs(), (self.velocity * period).min(self.max_step));
                     if step > allowed {
@@ -151,5 +180,26 @@ mod tests {
         assert!(matches!(g.check(t, &next, &q), Err(GuardError::NotFinite { .. })));
         g.reset();
         assert_eq!(g.check(t, &far, &far), Ok(()));
+    }
+
+    #[test]
+    fn an_arm_that_stays_behind_and_a_long_pause() {
+        let mut g = TargetGuard::new(&Limits::default());
+        let (mut t, arm) = (Stamp::from_secs(5.0), [0.1; 6]);
+        let mut q = arm;
+        // The arm stands still while the targets go on at 1 rad/s.
+        let refused = (0..60).find_map(|_| {
+            t = t.plus(0.008);
+            q[4] += 0.008;
+            g.check(t, &q, &arm).err()
+        });
+        let behind = matches!(refused, Some(GuardError::Following { joint: "wrist_2_joint", .. }));
+        assert!(behind, "{refused:?}");
+        g.reset();
+        assert_eq!(g.check(t, &arm, &arm), Ok(()));
+        let mut next = arm;
+        next[0] += 0.09;
+        // One second later 0.09 rad would be slow, but nobody knows what happened in between.
+        assert!(matches!(g.check(t.plus(1.0), &next, &arm), Err(GuardError::Step { .. })));
     }
 }

@@ -1,11 +1,20 @@
 //! The driver's side of a joint trajectory: acceptance by the rules of ros2_control's joint
 //! trajectory controller, sampling, preemption, and a last guard before the robot. Pure.
 
+mod goal;
 mod guard;
+mod motion;
+mod scale;
 mod spline;
+mod stream;
 mod validate;
 
+pub use goal::{GoalCode, GoalEndReport, GoalTolerances, JointTolerance, ToleranceError};
 pub use guard::{GuardError, TargetGuard};
+pub use motion::{
+    Follow, Motion, MotionController, MotionParams, MotionRefusal, RobotInput, StepOutput,
+};
+pub use scale::SpeedScale;
 pub use validate::TrajectoryRejection;
 
 use crate::kinematics::{JOINT_NAMES, Joints};
@@ -96,8 +105,23 @@ impl JointTrajectoryExecutor {
         now: Stamp,
         current: &Desired,
     ) -> Result<(), TrajectoryRejection> {
+        self.accept_at(trajectory, now, now, current)
+    }
+
+    /// As [`Self::accept`] for an executor whose time `at` is not the clock `now` of the stamps: time that
+    /// is stretched, or a clock of the graph that may jump.
+    ///
+    /// # Errors
+    /// [`TrajectoryRejection`]; what was active stays active.
+    pub fn accept_at(
+        &mut self,
+        trajectory: &JointTrajectory,
+        now: Stamp,
+        at: Stamp,
+        current: &Desired,
+    ) -> Result<(), TrajectoryRejection> {
         let order = validate::validate(trajectory, now, &self.params)?;
-        let from = self.sample(now).unwrap_or(*current);
+        let from = self.sample(at).unwrap_or(*current);
         let begin = trajectory.stamp.map_or(0.0, |s| s.since(now));
         let mut knots = vec![Knot { time: 0.0, q: from.q, qd: Some(from.qd), qdd: None }];
         for p in &trajectory.points {
@@ -121,8 +145,24 @@ impl JointTrajectoryExecutor {
             }
         }
         self.knots = knots;
-        self.start = now;
+        self.start = at;
         Ok(())
+    }
+
+    /// Comes to rest from state `from`: all joints together with constant deceleration, the fastest one
+    /// with `deceleration` (rad/s^2), so that the tool stays near its path.
+    pub fn stop(&mut self, now: Stamp, from: &Desired, deceleration: f64) {
+        let fastest = from.qd.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+        let time = fastest / deceleration.max(1e-3);
+        self.start = now;
+        self.knots = vec![Knot { time: 0.0, q: from.q, qd: Some(from.qd), qdd: None }];
+        if time > 1e-6 {
+            let q = std::array::from_fn(|i| {
+                let end = from.q[i] + 0.5 * from.qd[i] * time;
+                end.clamp(self.params.lower[i], self.params.upper[i])
+            });
+            self.knots.push(Knot { time, q, qd: Some([0.0; 6]), qdd: None });
+        }
     }
 
     /// Stays at joints `q` from now on.
@@ -163,5 +203,7 @@ impl JointTrajectoryExecutor {
     }
 }
 
+#[cfg(test)]
+mod motion_tests;
 #[cfg(test)]
 mod tests;

@@ -1,12 +1,13 @@
 use super::{
-    ClientPackage, FrameReader, PROTOCOL_VERSION, Recipe, ServerPackage, TextLevel, Value,
+    CB3_RATE, ClientPackage, E_SERIES_RATE, FrameReader, PROTOCOL_VERSION, Recipe, ServerPackage,
+    TextLevel, Value,
 };
 use crate::ProtocolError;
 
 /// What a client wants from the controller.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ClientConfig {
-    /// Output packages per second.
+    /// Output packages per second; zero for the highest that the controller has.
     pub frequency: f64,
     /// Output fields.
     pub outputs: Vec<&'static str>,
@@ -101,7 +102,11 @@ impl Client {
                 self.version = v;
                 self.step = Step::Outputs;
                 let names = owned(&self.config.outputs);
-                let frequency = self.config.frequency;
+                let frequency = match self.config.frequency {
+                    f if f > 0.0 => f,
+                    _ if v[0] < 5 => CB3_RATE,
+                    _ => E_SERIES_RATE,
+                };
                 events.push(send(ClientPackage::SetupOutputs { frequency, names }));
             }
             (Step::Outputs, ServerPackage::SetupOutputs { id, types }) => {
@@ -202,6 +207,18 @@ mod tests {
         let data = ServerPackage::Data(recipe.encode(&values).unwrap()).to_bytes();
         assert_eq!(client.receive(&data).unwrap(), [ClientEvent::Data(values.to_vec())]);
         assert!(client.input(1, &[]).is_err());
+    }
+
+    #[test]
+    fn the_rate_follows_from_the_controllers_version() {
+        for (major, rate) in [(3, 125.0), (5, 500.0), (10, 500.0)] {
+            let (mut client, _) = Client::new(ClientConfig { frequency: 0.0, ..config() });
+            client.receive(&ServerPackage::ProtocolVersion(true).to_bytes()).unwrap();
+            let version = ServerPackage::ControllerVersion([major, 0, 0, 0]).to_bytes();
+            let events = client.receive(&version).unwrap();
+            let [ClientEvent::Send(bytes)] = &events[..] else { panic!("{events:?}") };
+            assert_eq!(bytes[3..11], f64::to_be_bytes(rate));
+        }
     }
 
     #[test]
