@@ -1,4 +1,5 @@
-//! The graph beside rclpy, our bags beside `rosbags`.
+//! The graph beside rclpy, our bags beside `rosbags`, the virtual controller and gripper under ur_rtde
+//! and pyrobotiqur.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -42,4 +43,18 @@ fn rclpy_agrees_with_every_feature_of_the_runtime() {
     let peer = program("examples/peer");
     let _machine = machine();
     passes("tests/peers/runtime_peer.py", &[peer.to_str().unwrap()]);
+}
+
+#[test]
+fn ur_rtde_cannot_tell_the_virtual_controller_from_a_robot() {
+    let controller = program("examples/controller");
+    let _machine = machine();
+    passes("tests/peers/ur_rtde_peer.py", &[controller.to_str().unwrap()]);
+}
+
+#[test]
+fn pyrobotiqur_opens_closes_and_feels_an_object() {
+    let controller = program("examples/controller");
+    let _machine = machine();
+    passes("tests/peers/robotiq_peer.py", &[controller.to_str().unwrap()]);
 }

@@ -1,6 +1,6 @@
 #!/bin/bash
-# Sets up ROS 2 Jazzy peers from PyPI wheels: rclpy, and the interface packages that no registry
-# offers, built from msgs/ into an overlay. Nothing needs root.
+# Sets up peers from PyPI wheels: ROS 2 Jazzy's rclpy, and the interface packages that no registry
+# offers, built from msgs/ into an overlay; ur_rtde and pyrobotiqur. Nothing needs root.
 #
 #   tests/peers/setup.sh DIR        makes DIR/venv, DIR/install and DIR/env.sh
 #   source DIR/env.sh               then python has rclpy and all message packages
@@ -27,6 +27,12 @@ if [ ! -e "$stamp/wheels" ]; then
   "$venv/bin/pip" install -q ros-jazzy-rclpy ros-jazzy-rmw-fastrtps-cpp ros-jazzy-common-interfaces \
     ros-jazzy-test-msgs "rosbags~=0.11" numpy
   touch "$stamp/wheels"
+fi
+
+# Clients of the robot's and the gripper's own interfaces.
+if [ ! -e "$stamp/robot" ]; then
+  "$venv/bin/pip" install -q "ur_rtde==1.6.5" "pyrobotiqur==0.2.2"
+  touch "$stamp/robot"
 fi
 
 if [ ! -e "$stamp/tools" ]; then
@@ -131,6 +137,7 @@ build "$repo/msgs/tdv_msgs"
   set +u
   # shellcheck disable=SC1091
   source "$dir/env.sh"
+  python -c 'import rtde_control, pyrobotiqur'
   python -c 'import rclpy, tdv_msgs.msg, control_msgs.action, vision_msgs.msg, tf2_msgs.msg, ur_dashboard_msgs.msg'
 )
 echo "ready: source $dir/env.sh"

@@ -8,12 +8,13 @@ use std::path::Path;
 use std::sync::Arc;
 use tdv_geometry::{Pose, smooth_step, yaw_of};
 use tdv_robot::{IkSelection, Kinematics};
-use tdv_simulation::controller::{ServoInputs, StopReason};
+use tdv_simulation::controller::StopReason;
 use tdv_simulation::disturbance::ForcedDrop;
 use tdv_simulation::gripper::{Activation, GripperRequest, ObjectStatus};
 use tdv_simulation::trial::PlacingGoal;
 use tdv_simulation::world::DT;
 use tdv_simulation::{Lab, LabAssets, Scene};
+use tdv_ur_protocol::servo::ServoProgram;
 
 fn assets() -> Arc<LabAssets> {
     assets_of("cup_on_coaster")
@@ -62,6 +63,8 @@ impl Script {
             heights: [0.058, 0.008],
             drop: None,
         };
+        let program = ServoProgram::cb3().text().unwrap();
+        s.lab.controller_mut().run_script(&program).unwrap();
         s.lab.set_gripper_request(request);
         while s.lab.gripper_status().activation != Activation::Active {
             s.tick();
@@ -72,11 +75,10 @@ impl Script {
     fn tick(&mut self) {
         if self.ticks % 4 == 0 {
             self.beat += 1;
-            self.lab.set_servo_inputs(ServoInputs {
-                command: 1,
-                heartbeat: self.beat,
-                targets: self.q,
-            });
+            let inputs = self.lab.controller_mut().inputs_mut();
+            inputs.write_int(24, 1);
+            inputs.write_int(25, self.beat);
+            self.q.iter().enumerate().for_each(|(i, q)| inputs.write_double(24 + i, *q));
         }
         self.ticks += 1;
         self.lab.step();

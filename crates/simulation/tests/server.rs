@@ -4,6 +4,7 @@ use std::io::{Read, Write};
 use std::net::{Ipv4Addr, TcpStream};
 use std::path::Path;
 use std::time::Duration;
+use tdv_simulation::controller::RuntimeState;
 use tdv_simulation::ur_server::{ServerConfig, UrServer};
 use tdv_simulation::{Lab, Scene};
 use tdv_ur_protocol::rtde::{ClientPackage, FrameReader, Recipe, ServerPackage, Value};
@@ -14,6 +15,9 @@ const ANY_PORT: ServerConfig = ServerConfig {
     rtde: 0,
     gripper: 0,
     dashboard: 0,
+    primary: 0,
+    secondary: 0,
+    realtime: 0,
 };
 
 struct Bench {
@@ -110,6 +114,15 @@ fn handshake_stream_servo_and_watchdog() {
     let inputs = Recipe::from_answer(id, &wanted, &types).unwrap();
     assert_eq!(c.ask(&mut bench, &ClientPackage::Start), ServerPackage::Start(true));
 
+    // Until a program is sent nothing runs; it may come in any pieces.
+    assert_eq!(bench.lab.controller().runtime_state(), RuntimeState::Stopped);
+    let mut upload = TcpStream::connect(bench.server.addresses()[5]).unwrap();
+    let text = servo::ServoProgram::cb3().text().unwrap();
+    for piece in text.as_bytes().chunks(700) {
+        upload.write_all(piece).unwrap();
+    }
+    bench.until("the program", |b| b.lab.controller().outputs().ints[24] == 1);
+
     let home = *bench.lab.joints().0;
     let mut target = home;
     let mut stamps = Vec::new();
@@ -132,7 +145,7 @@ fn handshake_stream_servo_and_watchdog() {
     assert!(gap > 0.0079, "125 Hz, got {gap}");
     // Silence: the watchdog stops the program.
     bench.until("the watchdog", |b| {
-        b.lab.controller().program_state() == servo::ProgramState::WatchdogStop
+        b.lab.controller().outputs().ints[24] == servo::ProgramState::WatchdogStop as i32
     });
     // A second client may not take the registers; when the first one goes, it may.
     let mut second = Rtde::connect(&bench);
@@ -204,9 +217,32 @@ fn dashboard_answers() {
     d.set_nonblocking(true).unwrap();
     assert!(line(&mut bench, &mut d, "").starts_with("Connected: "));
     assert_eq!(line(&mut bench, &mut d, "robotmode\n"), "Robotmode: RUNNING");
+    assert_eq!(line(&mut bench, &mut d, "SafetyMode\n"), "Safetymode: NORMAL");
+    assert_eq!(line(&mut bench, &mut d, "programState\n"), "STOPPED <unnamed>");
+    assert_eq!(line(&mut bench, &mut d, "play\n"), "Failed to execute: play");
+    assert_eq!(line(&mut bench, &mut d, "load a.urp\n"), "File not found: a.urp");
+    bench.server.keep_program("a.urp", "def a():\n while True:\n  sync()\n end\nend\n");
+    assert_eq!(line(&mut bench, &mut d, "load a.urp\n"), "Loading program: a.urp");
+    assert_eq!(line(&mut bench, &mut d, "get loaded program\n"), "Loaded program: a.urp");
+    assert_eq!(line(&mut bench, &mut d, "play\n"), "Starting program");
+    assert_eq!(line(&mut bench, &mut d, "running\n"), "Program running: true");
+    assert_eq!(line(&mut bench, &mut d, "pause\n"), "Pausing program");
+    assert_eq!(line(&mut bench, &mut d, "programState\n"), "PAUSED a.urp");
+    assert_eq!(line(&mut bench, &mut d, "play\n"), "Starting program");
     assert_eq!(line(&mut bench, &mut d, "stop\n"), "Stopped");
     assert_eq!(line(&mut bench, &mut d, "running\n"), "Program running: false");
-    assert_eq!(line(&mut bench, &mut d, "play\n"), "Starting program");
+    assert_eq!(line(&mut bench, &mut d, "power off\n"), "Powering off");
+    assert_eq!(line(&mut bench, &mut d, "robotmode\n"), "Robotmode: POWER_OFF");
+    assert_eq!(line(&mut bench, &mut d, "play\n"), "Failed to execute: play");
+    assert_eq!(line(&mut bench, &mut d, "brake release\n"), "Brake releasing");
+    while line(&mut bench, &mut d, "robotmode\n") != "Robotmode: RUNNING" {}
+    assert!(line(&mut bench, &mut d, "PolyscopeVersion\n").starts_with("URSoftware 3.15.8."));
+    assert_eq!(line(&mut bench, &mut d, "get robot model\n"), "UR5");
+    // A CB3 knows no remote control.
+    assert!(line(&mut bench, &mut d, "is in remote control\n").contains("could not understand"));
+    assert_eq!(line(&mut bench, &mut d, "popup hello you\n"), "showing popup");
+    assert_eq!(bench.lab.controller().popup(), Some("hello you"));
+    assert_eq!(line(&mut bench, &mut d, "close popup\n"), "closing popup");
     assert!(line(&mut bench, &mut d, "dance\n").contains("could not understand"));
     assert_eq!(line(&mut bench, &mut d, "quit\n"), "Disconnected");
 }
@@ -217,4 +253,86 @@ fn a_taken_port_is_named() {
     let config = ServerConfig { rtde: bench.server.addresses()[0].port(), ..ANY_PORT };
     let e = UrServer::start(config, bench.lab.controller().generation()).err().unwrap();
     assert!(e.to_string().contains("RTDE") && e.to_string().contains("127.0.0.1"), "{e}");
+}
+
+/// The next whole message of a state stream.
+fn message(bench: &mut Bench, s: &mut TcpStream, buffer: &mut Vec<u8>) -> Vec<u8> {
+    let mut got = Vec::new();
+    bench.until("a message", |_| {
+        let mut part = [0; 4096];
+        if let Ok(n) = s.read(&mut part) {
+            buffer.extend_from_slice(&part[..n]);
+        }
+        let Some(size) = buffer.first_chunk::<4>() else { return false };
+        let size = u32::from_be_bytes(*size) as usize;
+        assert!((5..10_000).contains(&size), "{size}");
+        if buffer.len() >= size {
+            got = buffer.drain(..size).collect();
+        }
+        !got.is_empty()
+    });
+    got
+}
+
+#[test]
+fn state_streams_and_scripts_on_all_three_ports() {
+    let mut bench = Bench::new();
+    let connect = |bench: &Bench, i: usize| {
+        let s = TcpStream::connect(bench.server.addresses()[i]).unwrap();
+        s.set_nonblocking(true).unwrap();
+        s
+    };
+    let (mut primary, mut secondary, mut realtime) =
+        (connect(&bench, 3), connect(&bench, 4), connect(&bench, 5));
+    let (mut p, mut s, mut r) = (Vec::new(), Vec::new(), Vec::new());
+    assert_eq!(message(&mut bench, &mut primary, &mut p)[4], 20);
+    assert_eq!(message(&mut bench, &mut secondary, &mut s)[4], 20);
+    let state = message(&mut bench, &mut secondary, &mut s);
+    // Robot mode data: running, no program.
+    assert_eq!((state[4], state[9], state[18..25].to_vec()), (16, 0, vec![1, 1, 1, 0, 0, 0, 0]));
+    let first = message(&mut bench, &mut realtime, &mut r);
+    assert_eq!(first.len(), 1108);
+    let time = |m: &[u8]| f64::from_be_bytes(std::array::from_fn(|i| m[4 + i]));
+    let next = message(&mut bench, &mut realtime, &mut r);
+    assert!(time(&next) - time(&first) > 0.0079, "{} {}", time(&first), time(&next));
+
+    // One line is a program, and what it says reaches the primary clients.
+    for (k, port) in [&mut primary, &mut secondary, &mut realtime].into_iter().enumerate() {
+        port.write_all(format!("set_digital_out({k}, True)\n").as_bytes()).unwrap();
+        bench.until("the output", |b| b.lab.controller().lines().digital_out >> k & 1 == 1);
+    }
+    primary.write_all(b"textmsg(\"here \", 5)\n").unwrap();
+    loop {
+        let m = message(&mut bench, &mut primary, &mut p);
+        if m[4] == 20 && m[14] == 0 {
+            assert_eq!(&m[15..], b"here 5");
+            break;
+        }
+    }
+    // A script that is none says so on the primary port and leaves the lab alone.
+    secondary.write_all(b"def f(:\n\nend\n").unwrap();
+    loop {
+        let m = message(&mut bench, &mut primary, &mut p);
+        if m[4] == 20 && m[14] == 10 {
+            assert!(String::from_utf8_lossy(&m[23..]).contains("line 1"), "{m:?}");
+            break;
+        }
+    }
+}
+
+#[test]
+fn floods_end_their_own_connection_only() {
+    let mut bench = Bench::new();
+    let mut flood = TcpStream::connect(bench.server.addresses()[4]).unwrap();
+    let ended = std::thread::spawn(move || {
+        let junk = [b'x'; 1 << 16];
+        (0..1000).any(|_| flood.write_all(&junk).is_err())
+    });
+    bench.until("the end of the flood", |_| ended.is_finished());
+    assert!(ended.join().unwrap());
+    let mut c = Rtde::connect(&bench);
+    assert_eq!(
+        c.ask(&mut bench, &ClientPackage::ProtocolVersion(2)),
+        ServerPackage::ProtocolVersion(true)
+    );
 }

@@ -1,6 +1,6 @@
 //! The compiled form of a program.
 
-use crate::syntax::{Binary, Name, Unary};
+use crate::syntax::{Binary, Method, Name, Unary};
 use crate::value::Value;
 use std::sync::Arc;
 
@@ -29,6 +29,10 @@ pub(crate) enum Op {
     StoreElement(Slot, Arc<[PathStep]>),
     Index(usize),
     Member(Name),
+    /// A method of the value below the arguments, which it leaves as it is.
+    Ask(Method, usize),
+    /// A method that changes an element of a variable; indices and then arguments on the stack.
+    Change(Slot, Arc<[PathStep]>, Method, usize),
     List(usize),
     Pose,
     Struct(Arc<[Name]>),

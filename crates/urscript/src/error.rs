@@ -38,7 +38,7 @@ pub enum ErrorKind {
     /// A bound of [`crate::Limits`] is exceeded.
     #[error("limit exceeded: {0}")]
     Limit(String),
-    /// A thread computed on and on without consuming time.
+    /// A thread computed through too many cycles in a row without consuming time.
     #[error("runtime too much behind: a loop without motion, sleep or sync does not end")]
     Endless,
     /// The host refused or failed a call.

@@ -15,6 +15,8 @@ pub struct Limits {
     pub memory: usize,
     /// Instructions of one thread in one cycle (costly ones count more than once).
     pub instructions: u64,
+    /// Cycles in a row that a thread may compute through without waiting for the next one.
+    pub overruns: u32,
     /// Secondary programs at one time.
     pub secondary: usize,
 }
@@ -27,7 +29,8 @@ impl Default for Limits {
             frames: 100,
             value: 4096,
             memory: 1 << 18,
-            instructions: 100_000,
+            instructions: 20_000,
+            overruns: 50,
             secondary: 8,
         }
     }
@@ -40,4 +43,8 @@ pub(crate) const EXPRESSION_HEIGHT: usize = 400;
 /// Lists inside lists.
 pub(crate) const LIST_DEPTH: usize = 6;
 /// Local variables of one function, arguments of one call.
-pub(crate) const LOCALS: usize = 1000;
+pub(crate) const LOCALS: usize = 250;
+/// Elements of a list that stands in the text.
+pub(crate) const LITERAL: usize = 4096;
+/// Intermediate values of one thread when it calls a function.
+pub(crate) const STACK: usize = 10_000;

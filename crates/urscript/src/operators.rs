@@ -199,6 +199,9 @@ pub(crate) fn element(value: &Value, indices: &[Value]) -> Result<Value> {
         here = match &here {
             Value::List(l) => l.items()[position(index, l.items().len(), "list")?].clone(),
             Value::Pose(p) => Value::Float(p[position(index, 6, "pose")?]),
+            Value::Struct(r) => {
+                r.members()[position(index, r.members().len(), "struct")?].1.clone()
+            }
             other => return Err(ErrorKind::of_type(format!("{} has no elements", other.kind()))),
         };
     }
@@ -209,7 +212,7 @@ pub(crate) fn element(value: &Value, indices: &[Value]) -> Result<Value> {
 pub(crate) fn position(index: &Value, len: usize, what: &str) -> Result<usize> {
     let whole = index.integer();
     let whole = whole.ok_or_else(|| {
-        ErrorKind::of_type(format!("the index is {index} of type {}", index.kind()))
+        ErrorKind::of_type(format!("an index is a whole number, not {}", index.kind()))
     })?;
     match usize::try_from(whole) {
         Ok(at) if at < len => Ok(at),

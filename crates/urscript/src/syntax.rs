@@ -30,6 +30,10 @@ pub(crate) enum ExprKind {
     Call(Call),
     /// `run f()`.
     Run(Name),
+    /// `value.method(...)` that changes nothing.
+    Ask(Box<Expr>, Method, Vec<Expr>),
+    /// `variable.method(...)` that changes the list there.
+    Change(Name, Vec<Step>, Method, Vec<Expr>),
 }
 
 #[derive(Debug, Clone)]
@@ -129,4 +133,46 @@ pub(crate) struct Function {
     pub parameters: Vec<(Name, Option<Expr>)>,
     pub body: Vec<Statement>,
     pub line: u32,
+}
+
+/// Functions of values ("Methods in URScript").
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Method {
+    Append,
+    Clear,
+    Extend,
+    Insert,
+    Pop,
+    Remove,
+    Capacity,
+    ExcessCapacity,
+    Length,
+    Slice,
+    ToString,
+    GetColumn,
+    GetRow,
+    Shape,
+}
+
+impl Method {
+    /// The method of this name, the number of its arguments and whether it changes its list.
+    pub fn find(name: &str) -> Option<(Self, usize, bool)> {
+        Some(match name {
+            "append" => (Self::Append, 1, true),
+            "clear" => (Self::Clear, 0, true),
+            "extend" => (Self::Extend, 1, true),
+            "insert" => (Self::Insert, 2, true),
+            "pop" => (Self::Pop, 0, true),
+            "remove" => (Self::Remove, 1, true),
+            "capacity" => (Self::Capacity, 0, false),
+            "excess_capacity" => (Self::ExcessCapacity, 0, false),
+            "length" => (Self::Length, 0, false),
+            "slice" => (Self::Slice, 2, false),
+            "to_string" => (Self::ToString, 0, false),
+            "get_column" => (Self::GetColumn, 1, false),
+            "get_row" => (Self::GetRow, 1, false),
+            "shape" => (Self::Shape, 0, false),
+            _ => return None,
+        })
+    }
 }

@@ -25,9 +25,16 @@ pub enum Value {
     Struct(Record),
 }
 
-/// A shared list that knows its size.
-#[derive(Debug, Clone, PartialEq)]
-pub struct List(Arc<Measured<Vec<Value>>>);
+/// A shared list that knows its size and how many elements it may hold.
+#[derive(Debug, Clone)]
+pub struct List(Arc<Measured<Vec<Value>>>, usize);
+
+/// Lists are equal by their elements.
+impl PartialEq for List {
+    fn eq(&self, other: &Self) -> bool {
+        self.0 == other.0
+    }
+}
 
 /// A shared struct value: members in their order.
 #[derive(Debug, Clone, PartialEq)]
@@ -52,11 +59,38 @@ fn check_depth(depth: usize) -> Result<(), ErrorKind> {
 }
 
 impl List {
-    /// A list of these elements; refused where lists are nested too deep.
+    /// A list of these elements, which it keeps the number of; refused where lists are nested too
+    /// deep.
     pub fn new(items: Vec<Value>) -> Result<Self, ErrorKind> {
         let (weight, depth) = measure(items.iter());
         check_depth(depth + 1)?;
-        Ok(Self(Arc::new(Measured { items, weight, depth: depth + 1 })))
+        let capacity = items.len();
+        Ok(Self(Arc::new(Measured { items, weight, depth: depth + 1 }), capacity))
+    }
+    /// How many elements the list may hold.
+    pub fn capacity(&self) -> usize {
+        self.1
+    }
+    /// The same list with another capacity, which must suffice.
+    pub(crate) fn with_capacity(mut self, capacity: usize) -> Result<Self, ErrorKind> {
+        let n = self.items().len();
+        if n > capacity {
+            return Err(ErrorKind::value(format!(
+                "a list of {n} elements where {capacity} have room"
+            )));
+        }
+        self.1 = capacity;
+        Ok(self)
+    }
+    /// Changes the elements as a whole, within the capacity.
+    pub(crate) fn edit(
+        &mut self,
+        change: impl FnOnce(&mut Vec<Value>) -> Result<(), ErrorKind>,
+    ) -> Result<(), ErrorKind> {
+        let mut items = self.items().to_vec();
+        change(&mut items)?;
+        *self = Self::new(items)?.with_capacity(self.1)?;
+        Ok(())
     }
     /// The elements.
     pub fn items(&self) -> &[Value] {
@@ -126,8 +160,8 @@ impl Value {
     /// A list of numbers, e.g. six joint angles.
     pub fn numbers(numbers: &[f64]) -> Self {
         let items: Vec<Value> = numbers.iter().map(|n| Value::Float(*n)).collect();
-        let weight = items.len() + 1;
-        Self::List(List(Arc::new(Measured { items, weight, depth: 1 })))
+        let (weight, capacity) = (items.len() + 1, items.len());
+        Self::List(List(Arc::new(Measured { items, weight, depth: 1 }), capacity))
     }
     /// The name of the type, for messages.
     pub fn kind(&self) -> &'static str {
@@ -209,6 +243,27 @@ impl Value {
                 | (Struct(_), Struct(_))
         )
     }
+}
+
+/// Gives a variable or an element a new value: its type stays, and a list must have room there
+/// ("Lists and Structs").
+pub(crate) fn assign(
+    place: &mut Value,
+    new: Value,
+    what: impl Fn() -> String,
+) -> Result<(), ErrorKind> {
+    if !place.may_become(&new) {
+        let (from, to) = (place.kind(), new.kind());
+        return Err(ErrorKind::Type(format!(
+            "{} is of type {from} and cannot become {to}",
+            what()
+        )));
+    }
+    *place = match (&*place, new) {
+        (Value::List(old), Value::List(new)) => Value::List(new.with_capacity(old.capacity())?),
+        (_, new) => new,
+    };
+    Ok(())
 }
 
 /// The form that `to_str` and `textmsg` give.

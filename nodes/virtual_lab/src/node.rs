@@ -54,6 +54,9 @@ pub async fn simulate(node: Node, params: Params<LabParameters>) -> anyhow::Resu
             rtde: p.rtde_port,
             gripper: p.gripper_port,
             dashboard: p.dashboard_port,
+            primary: p.primary_port,
+            secondary: p.secondary_port,
+            realtime: p.realtime_port,
         },
         assets.scene.robot.controller,
     )?;

@@ -1,6 +1,7 @@
 use serde::{Deserialize, Serialize};
 use std::net::IpAddr;
 use tdv_runtime::Parameters;
+use tdv_simulation::ur_server::{PRIMARY_PORT, REALTIME_PORT, SECONDARY_PORT};
 use tdv_ur_protocol::{DASHBOARD_PORT, GRIPPER_PORT, RTDE_PORT};
 
 /// Parameters of the node.
@@ -13,6 +14,9 @@ pub struct LabParameters {
     pub rtde_port: u16,
     pub gripper_port: u16,
     pub dashboard_port: u16,
+    pub primary_port: u16,
+    pub secondary_port: u16,
+    pub realtime_port: u16,
     pub goal_yaw: f64,
     pub goal_offset: Vec<f64>,
     pub disturb: bool,
@@ -29,6 +33,9 @@ impl Default for LabParameters {
             rtde_port: RTDE_PORT,
             gripper_port: GRIPPER_PORT,
             dashboard_port: DASHBOARD_PORT,
+            primary_port: PRIMARY_PORT,
+            secondary_port: SECONDARY_PORT,
+            realtime_port: REALTIME_PORT,
             goal_yaw: 0.0,
             goal_offset: vec![0.0, 0.0],
             disturb: false,

@@ -7,7 +7,7 @@
 use super::core::{Core, MessageKind};
 use super::motion::{Motion, Pace, Six};
 use super::registers::{Slot, Watchdog, WatchdogAction};
-use super::{MAX_SPEED, POSITION_LIMIT, StopReason, host_sockets, pose_of, six};
+use super::{MAX_SPEED, POSITION_LIMIT, STOP_DECELERATION, StopReason, host_sockets, pose_of, six};
 use tdv_geometry::Pose;
 use tdv_geometry::nalgebra::Vector6;
 use tdv_urscript::{Call, Host, Reply, Value};
@@ -175,7 +175,6 @@ fn done(value: Value) -> Result<Reply, Fault> {
     Ok(Reply::Done(value))
 }
 
-
 /// The line of a text value, or of anything else as a number.
 fn words(v: &Value) -> String {
     match v {
@@ -192,6 +191,14 @@ impl Host for Core {
             self.dispatch(&call)
         };
         outcome.unwrap_or_else(Reply::Error)
+    }
+
+    fn abandoned(&mut self, call: Call<'_>) {
+        let moves =
+            ["movej", "movel", "movep", "servoj", "speedj", "speedl"].contains(&call.function);
+        if moves && !matches!(self.mover.motion, Motion::Rest | Motion::Brake(_)) {
+            self.mover.brake(STOP_DECELERATION);
+        }
     }
 }
 
@@ -210,7 +217,11 @@ impl Core {
     }
 
     /// Begins a motion at the first call, then waits for it.
-    fn wait(&mut self, call: &Call<'_>, begin: impl FnOnce(&mut Self) -> Result<(), Fault>) -> Result<Reply, Fault> {
+    fn wait(
+        &mut self,
+        call: &Call<'_>,
+        begin: impl FnOnce(&mut Self) -> Result<(), Fault>,
+    ) -> Result<Reply, Fault> {
         if call.waited == 0 {
             if !self.can_move() {
                 return Err(format!(
@@ -379,7 +390,9 @@ impl Core {
                 let q = q.ok_or_else(|| format!("no solution for {}", words(&a[0])))?;
                 return list(&q);
             }
-            "get_inverse_kin_has_solution" => return value(Value::Bool(self.inverse(a)?.is_some())),
+            "get_inverse_kin_has_solution" => {
+                return value(Value::Bool(self.inverse(a)?.is_some()));
+            }
             "get_forward_kin" => {
                 let q = match &a[0] {
                     Value::Nothing => self.mover.q,
@@ -410,7 +423,11 @@ impl Core {
                     self.popup = Some(text.clone());
                     self.say(MessageKind::Popup, text);
                 }
-                if blocking && self.popup.is_some() { Reply::Wait } else { Reply::Done(Value::Nothing) }
+                if blocking && self.popup.is_some() {
+                    Reply::Wait
+                } else {
+                    Reply::Done(Value::Nothing)
+                }
             }
             "textmsg" => {
                 let text = format!("{}{}", words(&a[0]), words(&a[1]));
@@ -456,7 +473,9 @@ impl Core {
         let bit = |bits: u64, i: usize| value(Value::Bool(bits >> i & 1 == 1));
         let (inputs, outputs) = (&self.inputs.registers, &mut self.outputs);
         match call.function {
-            "read_input_integer_register" => return value(Value::Int(inputs.ints[index(&a[0], 48)?])),
+            "read_input_integer_register" => {
+                return value(Value::Int(inputs.ints[index(&a[0], 48)?]));
+            }
             "read_input_float_register" => {
                 return value(Value::Float(inputs.doubles[index(&a[0], 48)?]));
             }
@@ -481,11 +500,15 @@ impl Core {
             "write_output_boolean_register" => outputs.bits[index(&a[0], 128)?] = truth(&a[1]),
             "rtde_set_watchdog" => self.watch(a)?,
             "get_standard_digital_in" => return bit(self.lines.digital_in, index(&a[0], 8)?),
-            "get_configurable_digital_in" => return bit(self.lines.digital_in, 8 + index(&a[0], 8)?),
+            "get_configurable_digital_in" => {
+                return bit(self.lines.digital_in, 8 + index(&a[0], 8)?);
+            }
             "get_tool_digital_in" => return bit(self.lines.digital_in, 16 + index(&a[0], 2)?),
             "get_digital_in" => return bit(self.lines.digital_in, index(&a[0], 18)?),
             "get_standard_digital_out" => return bit(self.lines.digital_out, index(&a[0], 8)?),
-            "get_configurable_digital_out" => return bit(self.lines.digital_out, 8 + index(&a[0], 8)?),
+            "get_configurable_digital_out" => {
+                return bit(self.lines.digital_out, 8 + index(&a[0], 8)?);
+            }
             "get_tool_digital_out" => return bit(self.lines.digital_out, 16 + index(&a[0], 2)?),
             "get_digital_out" => return bit(self.lines.digital_out, index(&a[0], 18)?),
             "set_standard_digital_out" => self.switch(index(&a[0], 8)?, &a[1]),

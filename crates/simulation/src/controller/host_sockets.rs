@@ -114,15 +114,13 @@ pub(super) fn call(core: &mut Core, call: Call<'_>) -> Result<Reply, String> {
                 None => Reply::Wait,
             }
         }
-        "socket_read_line" => {
-            match s.take_until(&text(&a[0]), |b| b.ends_with(b"\n")) {
-                Some(line) => {
-                    Reply::Done(Value::text(String::from_utf8_lossy(&line).trim_end_matches(['\r', '\n'])))
-                }
-                None if late(&a[1])? => Reply::Done(Value::text("")),
-                None => Reply::Wait,
-            }
-        }
+        "socket_read_line" => match s.take_until(&text(&a[0]), |b| b.ends_with(b"\n")) {
+            Some(line) => Reply::Done(Value::text(
+                String::from_utf8_lossy(&line).trim_end_matches(['\r', '\n']),
+            )),
+            None if late(&a[1])? => Reply::Done(Value::text("")),
+            None => Reply::Wait,
+        },
         "socket_read_string" => {
             let name = text(&a[0]);
             let (prefix, suffix) = (text(&a[1]), text(&a[2]));

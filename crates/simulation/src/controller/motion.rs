@@ -130,7 +130,9 @@ impl Mover {
             Motion::SpeedJ { left: Some(left), .. } | Motion::SpeedL { left: Some(left), .. } => {
                 *left > half
             }
-            Motion::SpeedJ { qd, .. } => (0..6).any(|i| (self.qd[i] - qd[i] * self.scale).abs() > 1e-6),
+            Motion::SpeedJ { qd, .. } => {
+                (0..6).any(|i| (self.qd[i] - qd[i] * self.scale).abs() > 1e-6)
+            }
             Motion::SpeedL { now, xd, .. } => (now - xd * self.scale).norm() > 1e-6,
         }
     }

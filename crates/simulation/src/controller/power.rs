@@ -80,9 +80,7 @@ impl SafetyMode {
             Self::Fault => 9,
         };
         let emergency = matches!(self, Self::SystemEmergencyStop | Self::RobotEmergencyStop);
-        1 << own
-            | if emergency { 1 << 7 } else { 0 }
-            | if self.moves() { 0 } else { 1 << 10 }
+        1 << own | if emergency { 1 << 7 } else { 0 } | if self.moves() { 0 } else { 1 << 10 }
     }
 
     /// Whether the arm may move.
@@ -133,7 +131,9 @@ impl Power {
                 *self = Self { mode: RobotMode::PowerOn, release, left: BOOT };
             }
             RobotMode::PowerOn => self.release |= release,
-            RobotMode::Idle if release && !self.release => (self.release, self.left) = (true, RELEASE),
+            RobotMode::Idle if release && !self.release => {
+                (self.release, self.left) = (true, RELEASE)
+            }
             _ => {}
         }
     }

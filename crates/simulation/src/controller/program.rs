@@ -15,7 +15,9 @@ pub enum ProgramError {
     #[error("the script has no program in it")]
     Empty,
     /// The arm has no power, its brakes are on, or it is stopped.
-    #[error("robot mode {robot}, safety mode {safety}: bring the robot to RUNNING and NORMAL first")]
+    #[error(
+        "robot mode {robot}, safety mode {safety}: bring the robot to RUNNING and NORMAL first"
+    )]
     NotReady {
         /// The robot mode.
         robot: &'static str,

@@ -120,7 +120,8 @@ impl ScriptSockets {
 
 fn connect(host: &str, port: u16) -> Option<TcpStream> {
     let addresses = (host, port).to_socket_addrs().ok()?;
-    let stream = addresses.into_iter().find_map(|a| TcpStream::connect_timeout(&a, CONNECT).ok())?;
+    let stream =
+        addresses.into_iter().find_map(|a| TcpStream::connect_timeout(&a, CONNECT).ok())?;
     stream.set_nodelay(true).ok()?;
     stream.set_read_timeout(Some(LOOK)).ok()?;
     stream.set_write_timeout(Some(CONNECT)).ok()?;

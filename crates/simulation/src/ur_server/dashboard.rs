@@ -118,7 +118,11 @@ fn query(line: &str, c: &Controller, desk: &Desk) -> Option<String> {
             desk.operational_mode.clone().unwrap_or_else(|| "NONE".into())
         }
         "getuserrole" => {
-            if desk.user_role.is_empty() { "PROGRAMMER".into() } else { desk.user_role.clone() }
+            if desk.user_role.is_empty() {
+                "PROGRAMMER".into()
+            } else {
+                desk.user_role.clone()
+            }
         }
         _ => return None,
     })

@@ -19,8 +19,8 @@ use crate::gripper::{GripperRequest, GripperStatus};
 use crate::lab::Lab;
 use crate::world::DT;
 use outbox::{Outbox, lock};
-use session::{Owners, Session};
 use script::{Port, StreamClient};
+use session::{Owners, Session};
 use state::InputRegisters;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
@@ -31,12 +31,10 @@ use std::time::Duration;
 use tdv_ur_protocol::rtde::{CB3_RATE, E_SERIES_RATE};
 use tdv_ur_protocol::{DASHBOARD_PORT, GRIPPER_PORT, RTDE_PORT};
 
+pub use tdv_ur_protocol::script::{REALTIME_PORT, SECONDARY_PORT};
+
 /// TCP port of the primary interface.
 pub const PRIMARY_PORT: u16 = 30001;
-/// TCP port of the secondary interface.
-pub const SECONDARY_PORT: u16 = 30002;
-/// TCP port of the real-time interface.
-pub const REALTIME_PORT: u16 = 30003;
 /// Connections at one time; more are closed at once.
 const MAX_CONNECTIONS: usize = 64;
 

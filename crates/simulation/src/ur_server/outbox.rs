@@ -55,6 +55,11 @@ impl Outbox {
         self.changed.notify_all();
     }
 
+    /// Whether the connection is over.
+    pub(super) fn closed(&self) -> bool {
+        lock(&self.waiting).closed
+    }
+
     /// Waits for something to send; `None` once closed.
     pub(super) fn next(&self) -> Option<Vec<u8>> {
         let mut w = lock(&self.waiting);

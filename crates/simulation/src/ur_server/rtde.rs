@@ -51,7 +51,7 @@ pub(super) fn serve(mut stream: TcpStream, shared: &Arc<Shared>) {
     let _ = writer.join();
 }
 
-pub(super) fn write_all(mut stream: TcpStream, outbox: &Outbox) {
+fn write_all(mut stream: TcpStream, outbox: &Outbox) {
     while let Some(bytes) = outbox.next() {
         if stream.write_all(&bytes).is_err() {
             // The reader sees the closed socket and cleans up.

@@ -3,9 +3,11 @@
 use super::outbox::{Outbox, lock};
 use super::{Shared, read_all};
 use crate::controller::Script;
+use std::io::{ErrorKind, Write};
 use std::net::{Shutdown, TcpStream};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::time::Duration;
 
 /// Longest script, bytes.
 const MAX_SCRIPT: usize = 1 << 20;
@@ -39,7 +41,11 @@ struct Assembler {
 }
 
 impl Assembler {
-    fn push(&mut self, bytes: &[u8], mut take: impl FnMut(String) -> Result<(), String>) -> Result<(), String> {
+    fn push(
+        &mut self,
+        bytes: &[u8],
+        mut take: impl FnMut(String) -> Result<(), String>,
+    ) -> Result<(), String> {
         for part in bytes.split_inclusive(|b| *b == b'\n') {
             self.line.extend_from_slice(part);
             if self.line.len() + self.program.len() > MAX_SCRIPT {
@@ -100,6 +106,28 @@ fn words(line: &str) -> Vec<String> {
     out
 }
 
+/// Writes whole messages to a client that may never read them: those who only send scripts do not.
+/// It misses messages then, but keeps its connection.
+fn write_patiently(mut stream: TcpStream, outbox: &Outbox) {
+    // The one that reads ends the connection; a time-out lets this one see that.
+    let _ = stream.set_write_timeout(Some(Duration::from_millis(200)));
+    while let Some(bytes) = outbox.next() {
+        let mut rest = &bytes[..];
+        while !rest.is_empty() && !outbox.closed() {
+            match stream.write(rest) {
+                Ok(0) => return,
+                Ok(n) => rest = &rest[n..],
+                Err(e) if matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
+                Err(e) if e.kind() == ErrorKind::Interrupted => {}
+                Err(_) => {
+                    let _ = stream.shutdown(Shutdown::Both);
+                    return;
+                }
+            }
+        }
+    }
+}
+
 /// Serves one client.
 pub(super) fn serve(mut stream: TcpStream, shared: &Arc<Shared>, port: Port) {
     let id = shared.next_id.fetch_add(1, Ordering::Relaxed);
@@ -107,7 +135,7 @@ pub(super) fn serve(mut stream: TcpStream, shared: &Arc<Shared>, port: Port) {
     let Ok(out) = stream.try_clone() else { return };
     let writer = {
         let outbox = Arc::clone(&outbox);
-        std::thread::spawn(move || super::rtde::write_all(out, &outbox))
+        std::thread::spawn(move || write_patiently(out, &outbox))
     };
     let client = StreamClient { id, port, outbox: Arc::clone(&outbox), greeted: false };
     lock(&shared.streams).push(client);

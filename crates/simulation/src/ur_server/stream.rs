@@ -96,10 +96,8 @@ fn sub(kind: u8) -> Packet {
 
 fn mode_data(c: &Controller) -> Vec<u8> {
     let powered = c.robot_mode() != RobotMode::PowerOff;
-    let emergency = matches!(
-        c.safety_mode(),
-        SafetyMode::RobotEmergencyStop | SafetyMode::SystemEmergencyStop
-    );
+    let emergency =
+        matches!(c.safety_mode(), SafetyMode::RobotEmergencyStop | SafetyMode::SystemEmergencyStop);
     let flags = [
         true,
         c.robot_mode() == RobotMode::Running,
@@ -153,7 +151,8 @@ fn cartesian_data(c: &Controller) -> Vec<u8> {
 /// Robot state of the primary and the secondary interface.
 pub(super) fn robot_state(c: &Controller) -> Vec<u8> {
     let mut p = sub(16);
-    for part in [mode_data(c), joint_data(c), tool_data(c), masterboard_data(c), cartesian_data(c)] {
+    for part in [mode_data(c), joint_data(c), tool_data(c), masterboard_data(c), cartesian_data(c)]
+    {
         p.bytes(&part);
     }
     p.finish()

@@ -35,20 +35,18 @@ pub(super) fn call(name: &str, args: &[Value], limit: usize) -> Result<Value> {
             if n.saturating_mul(value.weight()) >= limit {
                 return Err(ErrorKind::limit(format!("a list of {n} elements")));
             }
-            Ok(Value::List(List::new(vec![value.clone(); n])?))
+            let capacity = match args.get(2) {
+                None | Some(Value::Nothing) => n,
+                Some(wanted) => usize::try_from(integer_of(wanted)?).unwrap_or(0),
+            };
+            Ok(Value::List(List::new(vec![value.clone(); n])?.with_capacity(capacity)?))
         }
         "binary_list_to_integer" => {
             let Value::List(l) = first else {
                 return Err(ErrorKind::of_type(format!("a list is needed, not {}", first.kind())));
             };
-            if l.items().len() > 32 {
-                return Err(ErrorKind::value(format!(
-                    "a list of {} bits; 32 at most",
-                    l.items().len()
-                )));
-            }
             let mut bits = 0_u32;
-            for (at, bit) in l.items().iter().enumerate() {
+            for (at, bit) in l.items().iter().take(32).enumerate() {
                 let bit = bit
                     .truth()
                     .ok_or_else(|| ErrorKind::of_type(format!("bit {at} is no bool")))?;
@@ -63,7 +61,14 @@ pub(super) fn call(name: &str, args: &[Value], limit: usize) -> Result<Value> {
             )?))
         }
         "transpose" => {
+            // A list is a row; a matrix of one column becomes a list again.
+            if let Some(row) = first.vector() {
+                return build(&DMatrix::from_column_slice(row.len(), 1, &row));
+            }
             let m = matrix(first)?;
+            if m.ncols() == 1 {
+                return Ok(Value::numbers(m.as_slice()));
+            }
             build(&m.transpose())
         }
         _ => {

@@ -34,7 +34,6 @@ pub(super) fn one(name: &str, x: f64) -> Result<Value> {
         "sin" => x.sin(),
         "tan" => x.tan(),
         "sqrt" => x.sqrt(),
-        "exp" => x.exp(),
         "d2r" => x.to_radians(),
         "r2d" => x.to_degrees(),
         "ceil" => return whole(x.ceil()),
@@ -46,6 +45,9 @@ pub(super) fn one(name: &str, x: f64) -> Result<Value> {
 pub(super) fn two(name: &str, a: f64, b: f64) -> Result<Value> {
     match name {
         "atan2" => Ok(Value::Float(a.atan2(b))),
+        "pow" if (a < 0.0 && b.fract() != 0.0) || (a == 0.0 && b < 0.0) => {
+            Err(ErrorKind::value(format!("{a} to the power of {b}")))
+        }
         "pow" => Ok(Value::Float(a.powf(b))),
         // Base first.
         _ if a > 0.0 && a != 1.0 && b > 0.0 => Ok(Value::Float(b.ln() / a.ln())),
@@ -53,15 +55,18 @@ pub(super) fn two(name: &str, a: f64, b: f64) -> Result<Value> {
     }
 }
 
-pub(super) fn abs(value: &Value) -> Result<Value> {
-    match value {
-        Value::Int(i) => Ok(Value::Int(i.wrapping_abs())),
-        Value::Float(x) => Ok(Value::Float(x.abs())),
-        other => Err(ErrorKind::of_type(format!("a number is needed, not {}", other.kind()))),
+/// A list of numbers scaled to length 1.
+pub(super) fn normalize(value: &Value) -> Result<Value> {
+    let all = value.vector().filter(|_| !matches!(value, Value::Pose(_)));
+    let all = all.ok_or_else(|| ErrorKind::of_type("a list of numbers is needed"))?;
+    let length = all.iter().map(|x| x * x).sum::<f64>().sqrt();
+    if length == 0.0 {
+        return Err(ErrorKind::value("a list of zeros has no direction"));
     }
+    Ok(Value::numbers(&all.iter().map(|x| x / length).collect::<Vec<_>>()))
 }
 
-/// Length of a list of numbers or of the position of a pose; amount of a number.
+/// Length of a list of numbers or of all six numbers of a pose; amount of a number.
 pub(super) fn norm(value: &Value) -> Result<Value> {
     if let Some(x) = value.number() {
         return Ok(Value::Float(x.abs()));
@@ -70,6 +75,5 @@ pub(super) fn norm(value: &Value) -> Result<Value> {
     let all = all.ok_or_else(|| {
         ErrorKind::of_type(format!("a list, pose or number is needed, not {}", value.kind()))
     })?;
-    let part = if matches!(value, Value::Pose(_)) { &all[..3] } else { &all[..] };
-    Ok(Value::Float(part.iter().map(|x| x * x).sum::<f64>().sqrt()))
+    Ok(Value::Float(all.iter().map(|x| x * x).sum::<f64>().sqrt()))
 }

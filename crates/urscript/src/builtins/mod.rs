@@ -17,18 +17,17 @@ type Result<T> = std::result::Result<T, ErrorKind>;
 pub const BUILTINS: &str = "\
 sync()
 sleep(t)
-abs(f)
 acos(f)
 asin(f)
 atan(f)
-atan2(y, x)
+atan2(x, y)
 ceil(f)
 cos(f)
 d2r(d)
-exp(f)
 floor(f)
 log(b, f)
 norm(a)
+normalize(v)
 pow(base, exponent)
 r2d(r)
 random()
@@ -77,10 +76,10 @@ pub(crate) fn call(number: usize, args: &[Value], random: &mut u64, limit: usize
     match name {
         "random" => Ok(Value::Float(math::random(random))),
         "norm" => math::norm(arg(0)),
-        "abs" => math::abs(arg(0)),
+        "normalize" => math::normalize(arg(0)),
         "atan2" | "pow" | "log" => math::two(name, number_of(arg(0))?, number_of(arg(1))?),
-        "acos" | "asin" | "atan" | "ceil" | "cos" | "d2r" | "exp" | "floor" | "r2d" | "sin"
-        | "sqrt" | "tan" => math::one(name, number_of(arg(0))?),
+        "acos" | "asin" | "atan" | "ceil" | "cos" | "d2r" | "floor" | "r2d" | "sin" | "sqrt"
+        | "tan" => math::one(name, number_of(arg(0))?),
         "interpolate_pose" => {
             let alpha = number_of(arg(2))?;
             Ok(Value::Pose(pose::interpolate(&six(arg(0))?, &six(arg(1))?, alpha)))
@@ -109,9 +108,9 @@ fn number_of(value: &Value) -> Result<f64> {
 }
 
 fn integer_of(value: &Value) -> Result<i32> {
-    value
-        .integer()
-        .ok_or_else(|| ErrorKind::of_type(format!("an integer is needed, not {value:.40}")))
+    value.integer().ok_or_else(|| {
+        ErrorKind::of_type(format!("a whole number is needed, not {}", value.kind()))
+    })
 }
 
 fn six(value: &Value) -> Result<[f64; 6]> {

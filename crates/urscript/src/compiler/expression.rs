@@ -43,6 +43,18 @@ impl Compiler<'_> {
                 self.expression(base, body)?;
                 body.emit(Op::Member(name.clone()), line);
             }
+            ExprKind::Ask(base, method, args) => {
+                self.expression(base, body)?;
+                self.all(args, body)?;
+                body.emit(Op::Ask(*method, args.len()), line);
+            }
+            ExprKind::Change(name, path, method, args) => {
+                let steps = self.path(path, body)?;
+                self.all(args, body)?;
+                let missing = || ErrorKind::NotDefined(name.to_string()).at(line);
+                let slot = self.slot(name, body).ok_or_else(missing)?;
+                body.emit(Op::Change(slot, steps.into(), *method, args.len()), line);
+            }
             ExprKind::Unary(operator, operand) => {
                 self.expression(operand, body)?;
                 body.emit(Op::Unary(*operator), line);

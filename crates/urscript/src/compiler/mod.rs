@@ -182,7 +182,7 @@ impl Compiler<'_> {
     }
 
     /// The place of a variable.
-    fn slot(&self, name: &Name, body: &Body) -> Option<Slot> {
+    pub(super) fn slot(&self, name: &Name, body: &Body) -> Option<Slot> {
         match body.locals.get(name) {
             Some(&at) => Some(Slot::Local(at)),
             None => self.globals.get(name).map(|&at| Slot::Global(at)),
@@ -272,6 +272,20 @@ impl Compiler<'_> {
         line: u32,
         body: &mut Body,
     ) -> Result<()> {
+        let steps = self.path(path, body)?;
+        self.expression(value, body)?;
+        let slot = self
+            .slot(name, body)
+            .ok_or_else(|| ErrorKind::NotDefined(name.to_string()).at(line))?;
+        body.emit(
+            if steps.is_empty() { Op::Store(slot) } else { Op::StoreElement(slot, steps.into()) },
+            line,
+        );
+        Ok(())
+    }
+
+    /// Pushes the indices of a path.
+    pub(super) fn path(&mut self, path: &[Step], body: &mut Body) -> Result<Vec<PathStep>> {
         let mut steps = Vec::new();
         for step in path {
             steps.push(match step {
@@ -284,14 +298,6 @@ impl Compiler<'_> {
                 Step::Member(name) => PathStep::Member(name.clone()),
             });
         }
-        self.expression(value, body)?;
-        let slot = self
-            .slot(name, body)
-            .ok_or_else(|| ErrorKind::NotDefined(name.to_string()).at(line))?;
-        body.emit(
-            if steps.is_empty() { Op::Store(slot) } else { Op::StoreElement(slot, steps.into()) },
-            line,
-        );
-        Ok(())
+        Ok(steps)
     }
 }

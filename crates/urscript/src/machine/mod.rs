@@ -101,6 +101,12 @@ impl Machine {
         task.globals[at].as_ref()
     }
 
+    /// Elements that the programs hold.
+    #[cfg(test)]
+    pub(crate) fn elements(&self) -> usize {
+        self.main.iter().chain(&self.secondary).map(Task::elements).sum()
+    }
+
     /// One controller cycle: every thread gets its slice. Returns the programs that ended in it.
     pub fn cycle(&mut self, host: &mut dyn Host) -> Vec<Ended> {
         self.cycle += 1;

@@ -6,8 +6,10 @@ use crate::builtins;
 use crate::code::{Code, Op, PathStep, Slot};
 use crate::error::{ErrorKind, ScriptError};
 use crate::host::{Call, Host, Reply, ThreadId};
+use crate::limits::STACK;
+use crate::methods;
 use crate::operators;
-use crate::value::{List, Record, Value};
+use crate::value::{self, List, Record, Value};
 use std::sync::Arc;
 
 /// Why a thread stopped running for now.
@@ -41,9 +43,11 @@ impl Machine {
         loop {
             // Another thread's end may have moved this one.
             let Some(at) = task.position(id) else { return Ok(Next::Ended(id)) };
-            let Some(frame) = task.threads[at].frames.last_mut() else {
-                return Ok(Next::Ended(id));
-            };
+            let thread = &mut task.threads[at];
+            if thread.budget == 0 {
+                return self.overrun(&code, thread);
+            }
+            let Some(frame) = thread.frames.last_mut() else { return Ok(Next::Ended(id)) };
             let routine = &code.routines[frame.routine];
             let (op, line) = (&routine.ops[frame.at], routine.lines[frame.at]);
             frame.at += 1;
@@ -66,7 +70,7 @@ impl Machine {
         host: &mut dyn Host,
     ) -> Kind<Option<Next>> {
         let id = task.threads[at].id;
-        charge(&mut task.threads[at], 1)?;
+        charge(&mut task.threads[at], 1);
         let running = task.threads.len();
         let thread = &mut task.threads[at];
         match op {
@@ -78,19 +82,21 @@ impl Machine {
             }
             Op::Store(slot) => {
                 let value = pop(thread);
+                let routine = thread.frames.last().map_or(0, |f| f.routine);
                 let place = variable(thread, &mut task.globals, *slot);
-                if let Some(old) = place
-                    && !old.may_become(&value)
-                {
-                    let (from, to) = (old.kind(), value.kind());
-                    let name = slot_name(code, thread, *slot);
-                    let reason =
-                        format!("the variable '{name}' is of type {from} and cannot become {to}");
-                    return Err(ErrorKind::Type(reason));
+                match place {
+                    Some(old) => value::assign(old, value, || {
+                        format!("the variable '{}'", slot_name(code, routine, *slot))
+                    })?,
+                    None => *place = Some(value),
                 }
-                *place = Some(value);
             }
-            Op::StoreElement(slot, path) => self.store_element(code, *slot, path, task, at)?,
+            Op::StoreElement(slot, path) => {
+                let value = pop(thread);
+                self.change(code, *slot, path, task, at, |place| {
+                    value::assign(place, value.clone(), || "the element".into())
+                })?;
+            }
             Op::Index(n) => {
                 let indices = thread.stack.split_off(thread.stack.len().saturating_sub(*n));
                 let base = pop(thread);
@@ -103,6 +109,19 @@ impl Machine {
                 };
                 let missing = || ErrorKind::Value(format!("the struct has no member '{name}'"));
                 thread.stack.push(record.get(name).cloned().ok_or_else(missing)?);
+            }
+            Op::Ask(method, n) => {
+                let args = thread.stack.split_off(thread.stack.len().saturating_sub(*n));
+                let base = pop(thread);
+                let value = methods::ask(*method, &base, &args)?;
+                self.made(task, at, value)?;
+            }
+            Op::Change(slot, path, method, n) => {
+                let args = thread.stack.split_off(thread.stack.len().saturating_sub(*n));
+                self.change(code, *slot, path, task, at, |place| {
+                    methods::change(*method, place, &args)
+                })?;
+                task.threads[at].stack.push(Value::Nothing);
             }
             Op::List(n) => {
                 let items = thread.stack.split_off(thread.stack.len().saturating_sub(*n));
@@ -128,7 +147,7 @@ impl Machine {
             Op::Binary(operator) => {
                 let (b, a) = (pop(thread), pop(thread));
                 // A product of matrices costs more than its operands are big.
-                charge(thread, product_cost(a.weight(), b.weight()))?;
+                charge(thread, product_cost(a.weight(), b.weight()));
                 let value = operators::binary(*operator, &a, &b)?;
                 self.made(task, at, value)?;
             }
@@ -165,7 +184,7 @@ impl Machine {
                     .stack
                     .split_off(thread.stack.len().saturating_sub(signature.parameters.len()));
                 let cost = args.iter().map(Value::weight).sum::<usize>();
-                charge(thread, cost as u64 / 4)?;
+                charge(thread, cost as u64 / 4);
                 let value = builtins::call(*number, &args, &mut self.random, self.limits.value)
                     .map_err(|kind| kind.inside(&signature.name))?;
                 self.made(task, at, value)?;
@@ -226,8 +245,9 @@ impl Machine {
             Op::Sleep => {
                 let value = pop(thread);
                 let seconds = value.number().filter(|s| !s.is_nan());
-                let seconds =
-                    seconds.ok_or_else(|| ErrorKind::of_type(format!("sleep of {value}")))?;
+                let seconds = seconds.ok_or_else(|| {
+                    ErrorKind::of_type(format!("sleep needs a number, not {}", value.kind()))
+                })?;
                 thread.stack.push(Value::Nothing);
                 let cycles = (seconds / self.period - 1e-6).ceil().clamp(1.0, 1e15);
                 return Ok(Some(self.pause(thread, cycles as u64)));
@@ -247,8 +267,20 @@ impl Machine {
         Ok(None)
     }
 
+    /// The thread computed through its whole slice. It goes on in the next cycle, but not for ever.
+    fn overrun(&self, code: &Code, thread: &mut Thread) -> Result<Next, ScriptError> {
+        thread.overruns += 1;
+        if thread.overruns > self.limits.overruns {
+            let line = thread.frames.last().map_or(0, |f| code.routines[f.routine].lines[f.at]);
+            return Err(ErrorKind::Endless.at(line));
+        }
+        thread.spent = true;
+        Ok(Next::Paused(thread.id))
+    }
+
     /// The slice is used up; the thread goes on so many cycles later.
     fn pause(&self, thread: &mut Thread, cycles: u64) -> Next {
+        thread.overruns = 0;
         thread.spent = true;
         thread.wait = Wait::Cycle(self.cycle.saturating_add(cycles));
         Next::Paused(thread.id)
@@ -256,7 +288,7 @@ impl Machine {
 
     fn call(&self, code: &Code, number: usize, thread: &mut Thread) -> Kind<()> {
         let routine = &code.routines[number];
-        if thread.frames.len() >= self.limits.frames {
+        if thread.frames.len() >= self.limits.frames || thread.stack.len() > STACK {
             let depth = self.limits.frames;
             return Err(ErrorKind::Limit(format!(
                 "call of '{}': functions call each other {depth} deep",
@@ -264,7 +296,7 @@ impl Machine {
             )));
         }
         let n = routine.parameters.len();
-        charge(thread, routine.locals.len() as u64 / 8)?;
+        charge(thread, routine.locals.len() as u64 / 8);
         let args = thread.stack.split_off(thread.stack.len().saturating_sub(n));
         let mut locals: Vec<Option<Value>> = args.into_iter().map(Some).collect();
         locals.resize(routine.locals.len(), None);
@@ -300,6 +332,7 @@ impl Machine {
             }
             Reply::Wait => {
                 pending.waited += 1;
+                task.threads[at].overruns = 0;
                 task.threads[at].wait = Wait::Host(pending);
                 task.threads[at].spent = true;
                 return Ok(Some(Next::Paused(id)));
@@ -319,7 +352,7 @@ impl Machine {
                     self.limits.value
                 )));
             }
-            charge(&mut task.threads[at], weight as u64 / 4)?;
+            charge(&mut task.threads[at], weight as u64 / 4);
             self.account(task, weight)?;
         }
         task.threads[at].stack.push(value);
@@ -341,16 +374,17 @@ impl Machine {
         Ok(())
     }
 
-    fn store_element(
+    /// Changes an element of a variable in place; the indices of the path lie on the stack.
+    fn change(
         &self,
         code: &Code,
         slot: Slot,
         path: &[PathStep],
         task: &mut Task,
         at: usize,
+        edit: impl FnOnce(&mut Value) -> Kind<()>,
     ) -> Kind<()> {
         let thread = &mut task.threads[at];
-        let value = pop(thread);
         let n: usize = path.iter().map(|s| if let PathStep::Index(n) = s { *n } else { 0 }).sum();
         let indices = thread.stack.split_off(thread.stack.len().saturating_sub(n));
         let base = variable(thread, &mut task.globals, slot).take();
@@ -363,7 +397,7 @@ impl Machine {
                 PathStep::Member(name) => keys.push(Key::Member(name)),
             }
         }
-        replace(&mut base, &keys, value)?;
+        change(&mut base, &keys, edit)?;
         let weight = base.weight();
         if weight > self.limits.value {
             return Err(ErrorKind::Limit(format!(
@@ -372,7 +406,7 @@ impl Machine {
             )));
         }
         // The whole list may have been copied for the change.
-        charge(thread, weight as u64 / 8)?;
+        charge(thread, weight as u64 / 8);
         *variable(thread, &mut task.globals, slot) = Some(base);
         self.account(task, weight)
     }
@@ -384,37 +418,44 @@ enum Key<'a> {
     Member(&'a str),
 }
 
-/// Sets the element that the keys lead to.
-fn replace(base: &mut Value, keys: &[Key<'_>], value: Value) -> Kind<()> {
-    let Some((key, rest)) = keys.split_first() else {
-        if !base.may_become(&value) {
-            let (from, to) = (base.kind(), value.kind());
-            return Err(ErrorKind::Type(format!(
-                "the element is of type {from} and cannot become {to}"
-            )));
-        }
-        *base = value;
-        return Ok(());
-    };
+/// Changes the element that the keys lead to.
+fn change(
+    base: &mut Value,
+    keys: &[Key<'_>],
+    edit: impl FnOnce(&mut Value) -> Kind<()>,
+) -> Kind<()> {
+    // Down the path, taking each value out of the one around it, and up again.
+    let mut around = Vec::new();
+    let mut here = std::mem::replace(base, Value::Nothing);
+    for key in keys {
+        let inner = take(&mut here, key)?;
+        around.push(std::mem::replace(&mut here, inner));
+    }
+    edit(&mut here)?;
+    for (key, mut outer) in keys.iter().zip(around).rev() {
+        put(&mut outer, key, here)?;
+        here = outer;
+    }
+    *base = here;
+    Ok(())
+}
+
+fn take(base: &mut Value, key: &Key<'_>) -> Kind<Value> {
     match (base, key) {
         (Value::List(list), Key::Index(index)) => {
             let at = operators::position(index, list.items().len(), "list")?;
-            let mut inner = list.take(at).unwrap_or(Value::Nothing);
-            replace(&mut inner, rest, value)?;
-            list.replace(at, inner)
+            Ok(list.take(at).unwrap_or(Value::Nothing))
         }
-        (Value::Pose(pose), Key::Index(index)) if rest.is_empty() => {
-            let at = operators::position(index, 6, "pose")?;
-            let wrong =
-                || ErrorKind::Type(format!("an element of a pose cannot become {}", value.kind()));
-            pose[at] = value.number().ok_or_else(wrong)?;
-            Ok(())
+        (Value::Pose(pose), Key::Index(index)) => {
+            Ok(Value::Float(pose[operators::position(index, 6, "pose")?]))
         }
-        (Value::Struct(record), Key::Member(name)) => {
-            let missing = || ErrorKind::Value(format!("the struct has no member '{name}'"));
-            let mut inner = record.take(name).ok_or_else(missing)?;
-            replace(&mut inner, rest, value)?;
-            record.replace(name, inner)
+        (Value::Struct(record), Key::Member(name)) => record
+            .take(name)
+            .ok_or_else(|| ErrorKind::Value(format!("the struct has no member '{name}'"))),
+        (Value::Struct(record), Key::Index(index)) => {
+            let at = operators::position(index, record.members().len(), "struct")?;
+            let name = record.members()[at].0.clone();
+            Ok(record.take(&name).unwrap_or(Value::Nothing))
         }
         (base, Key::Index(_)) => Err(ErrorKind::Type(format!("{} has no elements", base.kind()))),
         (base, Key::Member(name)) => {
@@ -423,10 +464,32 @@ fn replace(base: &mut Value, keys: &[Key<'_>], value: Value) -> Kind<()> {
     }
 }
 
+/// Puts a value back where [`take`] found it.
+fn put(base: &mut Value, key: &Key<'_>, value: Value) -> Kind<()> {
+    match (base, key) {
+        (Value::List(list), Key::Index(index)) => {
+            list.replace(operators::position(index, list.items().len(), "list")?, value)
+        }
+        (Value::Pose(pose), Key::Index(index)) => {
+            let number = value
+                .number()
+                .ok_or_else(|| ErrorKind::of_type("an element of a pose is a number"))?;
+            pose[operators::position(index, 6, "pose")?] = number;
+            Ok(())
+        }
+        (Value::Struct(record), Key::Member(name)) => record.replace(name, value),
+        (Value::Struct(record), Key::Index(index)) => {
+            let at = operators::position(index, record.members().len(), "struct")?;
+            let name = record.members()[at].0.clone();
+            record.replace(&name, value)
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Takes instructions from the slice.
-fn charge(thread: &mut Thread, cost: u64) -> Kind<()> {
-    thread.budget = thread.budget.checked_sub(cost).ok_or(ErrorKind::Endless)?;
-    Ok(())
+fn charge(thread: &mut Thread, cost: u64) {
+    thread.budget = thread.budget.saturating_sub(cost);
 }
 
 /// Instructions that an operation on values of these sizes counts for.
@@ -465,16 +528,14 @@ fn variable<'a>(
     }
 }
 
-fn slot_name(code: &Code, thread: &Thread, slot: Slot) -> String {
+fn slot_name(code: &Code, routine: usize, slot: Slot) -> String {
     match slot {
         Slot::Global(at) => code.globals[at].to_string(),
-        Slot::Local(at) => {
-            let routine = thread.frames.last().map_or(0, |f| f.routine);
-            code.routines[routine].locals[at].to_string()
-        }
+        Slot::Local(at) => code.routines[routine].locals[at].to_string(),
     }
 }
 
 fn unset(code: &Code, thread: &Thread, slot: Slot) -> ErrorKind {
-    ErrorKind::NotDefined(slot_name(code, thread, slot))
+    let routine = thread.frames.last().map_or(0, |f| f.routine);
+    ErrorKind::NotDefined(slot_name(code, routine, slot))
 }

@@ -46,6 +46,8 @@ pub(super) struct Thread {
     pub spent: bool,
     /// Instructions left in this cycle.
     pub budget: u64,
+    /// Cycles in a row that it computed through.
+    pub overruns: u32,
 }
 
 /// A running program.
@@ -66,7 +68,15 @@ pub(super) struct Task {
 impl Thread {
     pub fn new(id: ThreadId, routine: usize, locals: usize) -> Self {
         let frame = Frame { routine, at: 0, locals: vec![None; locals], base: 0 };
-        Self { id, frames: vec![frame], stack: Vec::new(), wait: Wait::No, spent: false, budget: 0 }
+        Self {
+            id,
+            frames: vec![frame],
+            stack: Vec::new(),
+            wait: Wait::No,
+            spent: false,
+            budget: 0,
+            overruns: 0,
+        }
     }
     fn memory(&self) -> usize {
         let locals = self.frames.iter().flat_map(|f| f.locals.iter().flatten());
@@ -98,5 +108,28 @@ impl Task {
     }
     pub fn position(&self, id: ThreadId) -> Option<usize> {
         self.threads.iter().position(|t| t.id == id)
+    }
+}
+
+#[cfg(test)]
+impl Task {
+    /// Elements that really exist: what is shared counts once.
+    pub fn elements(&self) -> usize {
+        let mut seen = std::collections::HashSet::new();
+        let threads = self.threads.iter();
+        let held = threads
+            .flat_map(|t| t.frames.iter().flat_map(|f| f.locals.iter().flatten()).chain(&t.stack));
+        self.globals.iter().flatten().chain(held).map(|v| elements(v, &mut seen)).sum()
+    }
+}
+
+#[cfg(test)]
+fn elements(value: &Value, seen: &mut std::collections::HashSet<usize>) -> usize {
+    match value {
+        Value::List(l) if seen.insert(l.items().as_ptr() as usize) => {
+            1 + l.items().iter().map(|v| elements(v, seen)).sum::<usize>()
+        }
+        Value::Text(t) if seen.insert(t.as_ptr() as usize) => 1 + t.len() / 16,
+        _ => 1,
     }
 }

@@ -3,8 +3,8 @@
 use super::{KEYWORDS, Parser, Result, describe};
 use crate::error::ErrorKind;
 use crate::lexer::Token;
-use crate::limits::{EXPRESSION_HEIGHT, LOCALS};
-use crate::syntax::{Binary, Call, Expr, ExprKind, Name, Unary};
+use crate::limits::{EXPRESSION_HEIGHT, LITERAL, LOCALS};
+use crate::syntax::{Binary, Call, Expr, ExprKind, Method, Name, Unary};
 use crate::value::Value;
 
 /// An operator between two operands.
@@ -124,10 +124,9 @@ impl Parser<'_> {
                 base = self.expr(ExprKind::Index(Box::new(base), indices), line, height)?;
             } else if self.take_sign(".") {
                 let name = self.need_name()?;
-                if self.is_sign("(") {
-                    let reason =
-                        format!("'.{name}(...)': values have no functions of their own here");
-                    return Err(ErrorKind::Syntax(reason).at(line));
+                if !self.placed().first && self.take_sign("(") {
+                    base = self.method(base, &name, line)?;
+                    continue;
                 }
                 let height = base.height;
                 base = self.expr(ExprKind::Member(Box::new(base), name), line, height)?;
@@ -135,6 +134,23 @@ impl Parser<'_> {
                 return Ok(base);
             }
         }
+    }
+
+    /// `.name(` has been read.
+    fn method(&mut self, base: Expr, name: &Name, line: u32) -> Result<Expr> {
+        let missing = || ErrorKind::NotDefined(format!(".{name}")).at(line);
+        let (method, arity, changes) = Method::find(name).ok_or_else(missing)?;
+        let args = self.list(")")?;
+        if args.len() != arity {
+            let reason = format!("{arity} arguments, {} given", args.len());
+            return Err(ErrorKind::Call { function: format!(".{name}"), reason }.at(line));
+        }
+        let height = highest(&args).max(base.height);
+        if changes {
+            let (variable, path) = self.target(base)?;
+            return self.expr(ExprKind::Change(variable, path, method, args), line, height);
+        }
+        self.expr(ExprKind::Ask(Box::new(base), method, args), line, height)
     }
 
     fn primary(&mut self) -> Result<Expr> {
@@ -247,6 +263,10 @@ impl Parser<'_> {
         let mut items = Vec::new();
         while !self.is_sign(close) {
             items.push(self.expression()?);
+            if items.len() > LITERAL {
+                return Err(ErrorKind::limit(format!("a list of more than {LITERAL} elements"))
+                    .at(self.line()));
+            }
             if !self.take_sign(",") {
                 break;
             }

@@ -277,7 +277,7 @@ impl Parser<'_> {
                 }
                 _ => {
                     return Err(ErrorKind::syntax(
-                        "only variables and their elements can be assigned to",
+                        "only variables and their elements can be changed",
                     )
                     .at(line));
                 }

@@ -1,0 +1,270 @@
+#!/usr/bin/env python3
+"""Drives the virtual controller with ur_rtde, as CB3 and as e-Series.
+
+    source DIR/env.sh            (see setup.sh)
+    tests/peers/netns.sh python tests/peers/ur_rtde_peer.py target/debug/examples/controller
+
+ur_rtde uploads its own program, moves the arm by it, and reads everything back; what it reads is
+compared with what the controller's standard output calls true. One line a check; exit code 1 when one
+fails.
+"""
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+from dashboard_client import DashboardClient
+from rtde_control import RTDEControlInterface
+from rtde_io import RTDEIOInterface
+from rtde_receive import RTDEReceiveInterface
+
+ADDRESS = "127.0.0.1"
+failures = []
+
+
+def check(name, good, detail=""):
+    print(f"{'ok  ' if good else 'FAIL'} {name} {detail}", flush=True)
+    if not good:
+        failures.append(name)
+
+
+def near(a, b, tolerance=1e-6):
+    return len(a) == len(b) and max(abs(x - y) for x, y in zip(a, b)) <= tolerance
+
+
+def until(seconds, condition):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if condition():
+            return True
+        time.sleep(0.01)
+    return condition()
+
+
+class Controller:
+    """The virtual controller as a process; leaving it ends it."""
+
+    def __init__(self, program, *arguments):
+        self.process = subprocess.Popen([program, ADDRESS, *arguments], text=True,
+                                        stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        if self.process.stdout.readline().strip() != "ready":
+            sys.exit("the controller does not start")
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.process.stdin.close()
+        self.process.wait(10)
+
+    def say(self, line):
+        self.process.stdin.write(line + "\n")
+        self.process.stdin.flush()
+
+    def truth(self):
+        self.say("state")
+        return json.loads(self.process.stdout.readline())
+
+
+def moves(lab, control, receive):
+    q = receive.getActualQ()
+    check("the pose at the start is read", near(q, lab.truth()["q"]))
+    q[0] += 0.3
+    q[5] -= 0.2
+    began = time.monotonic()
+    good = control.moveJ(q, 1.0, 2.0)
+    took = time.monotonic() - began
+    check("moveJ", good and near(lab.truth()["q"], q), f"{took:.2f} s")
+    # 0.3 rad at 1 rad/s and 2 rad/s^2 is a trapezoid of 0.775 s.
+    check("moveJ takes as long as its speed says", 0.74 < took < 1.2)
+    pose = receive.getActualTCPPose()
+    pose[2] += 0.05
+    check("moveL", control.moveL(pose, 0.25, 1.2) and near(lab.truth()["tcp"], pose, 1e-5))
+    path = [q + [1.0, 1.5, 0.0] for q in (lab.truth()["q"], q)]
+    # ur_rtde writes the path into its program as text with six digits.
+    check("moveJ along a path", control.moveJ(path) and near(lab.truth()["q"], q, 1e-4))
+    back = list(q)
+    back[0] -= 0.5
+    check("asynchronous moveJ returns at once", control.moveJ(back, 0.5, 1.0, True))
+    check("it moves", until(2.0, lambda: abs(receive.getActualQd()[0]) > 0.3))
+    check("its progress is seen", control.getAsyncOperationProgress() >= 0)
+    control.stopJ(4.0)
+    check("stopJ rests", max(map(abs, lab.truth()["qd"])) < 1e-9)
+    moved = lab.truth()["q"][0] - q[0]
+    check("and not at the goal", -0.45 < moved < -0.05, f"{moved:.3f} rad")
+
+
+def computes(lab, control, receive):
+    tcp, q = receive.getActualTCPPose(), receive.getActualQ()
+    check("inverse kinematics", near(control.getInverseKinematics(tcp), q, 1e-6))
+    check("forward kinematics", near(control.getForwardKinematics(q, [0, 0, 0.1, 0, 0, 0])[3:], tcp[3:], 1e-6))
+    check("safety limits of joints", control.isJointsWithinSafetyLimits(q)
+          and not control.isJointsWithinSafetyLimits([7.0, 0, 0, 0, 0, 0]))
+    check("steady", control.isSteady())
+    check("set a tool", control.setTcp([0, 0, 0.15, 0, 0, 0]))
+    check("its offset is read", near(control.getTCPOffset(), [0, 0, 0.15, 0, 0, 0]))
+    time.sleep(0.1)
+    down = tcp[2] - receive.getActualTCPPose()[2]
+    check("the tool pose follows it", abs(down - 0.15) < 1e-3 and near(receive.getActualTCPPose(), lab.truth()["tcp"]))
+    check("set a payload", control.setPayload(1.2, [0, 0, 0.05]))
+    control.setTcp([0] * 6)
+
+
+def servo(lab, control, receive, period):
+    q = receive.getActualQ()
+    q0 = q[0]
+    late, ticks, began = 0.0, 1000, time.monotonic()
+    for k in range(ticks):
+        start = control.initPeriod()
+        q[0] = q0 + 0.15 * k * period
+        if not control.servoJ(q, 0.0, 0.0, period, 0.03, 2000):
+            check("servoJ", False, f"at {k}")
+            return
+        if k > 500:
+            late = max(late, q[0] - receive.getActualQ()[0])
+        control.waitPeriod(start)
+    took = time.monotonic() - began
+    check("1,000 servoJ at rate", took < 1.3 * ticks * period, f"{took:.2f} s, ideal {ticks * period:.2f} s")
+    check("it follows", late < 0.15 * 0.15, f"at most {late / 0.15 * 1e3:.0f} ms behind")
+    check("servoStop", control.servoStop())
+    check("it rests near the last target", until(1.0, lambda: max(map(abs, lab.truth()["qd"])) < 1e-9)
+          and abs(lab.truth()["q"][0] - q[0]) < 0.02)
+
+
+def fields(lab, receive, period, major):
+    truth = lab.truth()
+    check("fields: joints", near(receive.getTargetQ(), truth["q"]) and near(receive.getActualQd(), truth["qd"]))
+    check("fields: tool", near(receive.getActualTCPPose(), truth["tcp"]) and near(receive.getTargetTCPPose(), truth["tcp"])
+          and near(receive.getActualTCPSpeed(), [0] * 6))
+    check("fields: modes", (receive.getRobotMode(), receive.getSafetyMode(), receive.getRuntimeState())
+          == (truth["robot_mode"], truth["safety_mode"], truth["runtime_state"]) == (7, 1, 2))
+    check("fields: status bits", receive.getRobotStatus() & 3 == 3 and receive.getSafetyStatusBits() == 1)
+    check("fields: speed", receive.getSpeedScaling() == 1.0 and receive.getTargetSpeedFraction() == truth["slider"])
+    lab.say("input 2 on")
+    check("fields: digital input", until(1.0, lambda: receive.getDigitalInState(2)) and not receive.getDigitalInState(1))
+    lab.say("input 2 off")
+    stamps = []
+    end = time.monotonic() + 1.0
+    while time.monotonic() < end:
+        stamp = receive.getTimestamp()
+        if not stamps or stamp != stamps[-1]:
+            stamps.append(stamp)
+        time.sleep(period / 5)
+    steps = sorted(b - a for a, b in zip(stamps, stamps[1:]))
+    check(f"packages each {period * 1e3:.0f} ms", abs(steps[len(steps) // 2] - period) < 0.3 * period,
+          f"median {steps[len(steps) // 2] * 1e3:.1f} ms, {len(stamps)} in 1 s")
+
+
+def lines(lab, io, receive):
+    check("a digital output", io.setStandardDigitalOut(3, True)
+          and until(1.0, lambda: lab.truth()["digital_out"] == 8) and until(1.0, lambda: receive.getDigitalOutState(3)))
+    io.setStandardDigitalOut(3, False)
+    check("the speed slider", io.setSpeedSlider(0.5) and until(1.0, lambda: lab.truth()["slider"] == 0.5)
+          and until(1.0, lambda: receive.getTargetSpeedFraction() == 0.5))
+    io.setSpeedSlider(1.0)
+    until(1.0, lambda: lab.truth()["slider"] == 1.0)
+
+
+RUNAWAY = """
+import sys, time
+from rtde_control import RTDEControlInterface
+c = RTDEControlInterface("%s")
+if sys.argv[1] == "watched":
+    c.setWatchdog(10.0)
+while True:
+    c.speedJ([-0.15, 0, 0, 0, 0, 0], 1.0, 0.0)
+    time.sleep(0.02)
+""" % ADDRESS
+
+
+def killed_client(lab, watched):
+    """A client dies while the arm moves: only its watchdog stops the arm."""
+    child = subprocess.Popen([sys.executable, "-c", RUNAWAY, "watched" if watched else "free"])
+    name = "with" if watched else "without"
+    check(f"speedJ {name} watchdog moves", until(10.0, lambda: abs(lab.truth()["qd"][0] + 0.15) < 1e-6))
+    time.sleep(0.3)
+    check(f"and goes on ({name} watchdog)", abs(lab.truth()["qd"][0] + 0.15) < 1e-6)
+    child.send_signal(signal.SIGKILL)
+    child.wait()
+    began = time.monotonic()
+    rests = until(1.0, lambda: lab.truth()["qd"][0] == 0.0)
+    took = time.monotonic() - began
+    if watched:
+        check("a killed client's arm rests", rests and took < 0.4, f"after {took:.2f} s")
+        check("its program has stopped", until(1.0, lambda: lab.truth()["runtime_state"] == 1))
+    else:
+        check("without a watchdog it would not", not rests)
+
+
+def stops(lab, control, receive, dashboard, major):
+    check("dashboard: version", dashboard.polyscopeVersion().split(" ")[-1] != "" and f"{major}." in dashboard.polyscopeVersion())
+    check("dashboard: modes", "RUNNING" in dashboard.robotmode() and "NORMAL" in dashboard.safetymode())
+    check("dashboard: running", dashboard.running())
+    lab.say("protect")
+    check("a protective stop is seen", until(1.0, receive.isProtectiveStopped) and receive.getSafetyMode() == 3)
+    check("the dashboard says so", "PROTECTIVE_STOP" in dashboard.safetymode())
+    check("the program waits", until(1.0, lambda: lab.truth()["runtime_state"] == 4))
+    try:
+        dashboard.unlockProtectiveStop()
+    except Exception as reason:  # ur_rtde throws what it is answered
+        print(f"     too early: {reason}")
+    check("it cannot be unlocked at once", lab.truth()["safety_mode"] == 3)
+    time.sleep(5.1)
+    dashboard.unlockProtectiveStop()
+    check("after 5 s it can", until(1.0, lambda: lab.truth()["safety_mode"] == 1))
+    dashboard.stop()
+    check("stop", until(1.0, lambda: lab.truth()["runtime_state"] == 1))
+    check("the script is uploaded anew", control.reuploadScript() and until(2.0, control.isProgramRunning))
+    q = receive.getActualQ()
+    q[0] += 0.1
+    check("and moves the arm", control.moveJ(q, 1.0, 2.0) and near(lab.truth()["q"], q))
+    control.triggerProtectiveStop()
+    check("a script can stop for protection too", until(1.0, lambda: lab.truth()["safety_mode"] == 3))
+    time.sleep(5.1)
+    dashboard.unlockProtectiveStop()
+    dashboard.stop()
+    control.reuploadScript()
+    lab.say("safety ROBOT_EMERGENCY_STOP")
+    check("an emergency stop is seen", until(1.0, receive.isEmergencyStopped) and receive.getRobotMode() == 3)
+    lab.say("safety NORMAL")
+    time.sleep(0.1)
+    dashboard.powerOn()
+    dashboard.brakeRelease()
+    check("power on and brake release", until(5.0, lambda: lab.truth()["robot_mode"] == 7))
+    check("the script runs once more", control.reuploadScript() and until(2.0, control.isProgramRunning))
+    control.stopScript()
+    check("stopScript", until(1.0, lambda: lab.truth()["runtime_state"] == 1))
+
+
+def run(program, generation, major, period):
+    print(f"--- {generation}", flush=True)
+    with Controller(program, generation) as lab:
+        receive = RTDEReceiveInterface(ADDRESS)
+        control = RTDEControlInterface(ADDRESS)
+        io = RTDEIOInterface(ADDRESS)
+        dashboard = DashboardClient(ADDRESS)
+        dashboard.connect()
+        moves(lab, control, receive)
+        computes(lab, control, receive)
+        servo(lab, control, receive, period)
+        fields(lab, receive, period, major)
+        lines(lab, io, receive)
+        stops(lab, control, receive, dashboard, major)
+        control.disconnect()
+        io.disconnect()
+        killed_client(lab, True)
+        killed_client(lab, False)
+        truth = lab.truth()
+        print(f"     a tick took {truth['step_us']:.0f} us, at worst {truth['worst_us']:.0f} us", flush=True)
+        receive.disconnect()
+        dashboard.disconnect()
+
+
+if __name__ == "__main__":
+    for arguments in [("cb3", 3, 0.008), ("e_series", 5, 0.002)]:
+        run(sys.argv[1], *arguments)
+    sys.stdout.flush()
+    # Threads of the library may still hang in a read.
+    os._exit(1 if failures else 0)
