@@ -1,6 +1,6 @@
-//! UR5 and Robotiq 2F-85 without ROS: kinematics, limits, gripper maps, the arm controller's core
-//! and the driver's trajectory executor. No clock, no socket; files only in the URDF and limits
-//! loaders.
+//! UR5 and Robotiq 2F-85 without ROS: kinematics, limits, collisions, a planner, gripper maps, the
+//! arm controller's core and the driver's trajectory executor. No clock, no socket; files only in the
+//! loaders of URDF, limits, calibration and workcell.
 
 pub mod collision;
 pub mod executor;
@@ -8,6 +8,7 @@ pub mod gripper;
 pub mod kinematics;
 pub mod limits;
 pub mod motion;
+pub mod planner;
 pub mod urdf;
 
 pub use executor::{

@@ -66,13 +66,14 @@ pub struct LinkShape {
     pub color: Option<[f64; 4]>,
 }
 
+/// A link and the joint that carries it; parents come before their children.
 #[derive(Debug, Clone)]
-struct Node {
-    link: String,
-    parent: Option<usize>,
-    origin: Pose,
+pub(crate) struct Node {
+    pub link: String,
+    pub parent: Option<usize>,
+    pub origin: Pose,
     /// Axis, driver (0..6 arm, 6 gripper), multiplier, offset; `None` for a fixed joint.
-    drive: Option<(UnitVector3<f64>, usize, f64, f64)>,
+    pub drive: Option<(UnitVector3<f64>, usize, f64, f64)>,
 }
 
 /// A parsed and checked URDF of arm and gripper.
@@ -125,6 +126,10 @@ impl RobotModel {
     /// The file's text, for `/robot_description`.
     pub fn text(&self) -> &str {
         &self.text
+    }
+
+    pub(crate) fn nodes(&self) -> &[Node] {
+        &self.nodes
     }
 
     /// Names of all links.

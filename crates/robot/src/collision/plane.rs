@@ -1,4 +1,5 @@
-//! Arm and gripper against the table plane: capsules about the links, points at the fingertips.
+//! Arm and gripper against the table plane, without a model file: capsules about the links, points at
+//! the fingertips.
 
 use crate::gripper::fingertip_z;
 use crate::kinematics::{Joints, Kinematics};
