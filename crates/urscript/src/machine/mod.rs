@@ -6,6 +6,7 @@
 mod place;
 mod step;
 mod thread;
+mod values;
 
 use crate::error::{ErrorKind, ScriptError};
 use crate::host::{Call, Host, ThreadId};
