@@ -56,7 +56,7 @@ impl Default for ArmParameters {
             require_program: true,
             enable_topic: String::new(),
             enable_timeout: 0.5,
-            stamp_trajectories: false,
+            stamp_trajectories: true,
             grasp_offset: vec![0.0; 3],
             control: ControllerParams::default(),
         }
@@ -107,7 +107,7 @@ impl Parameters for ArmParameters {
             "enable_topic" => "std_msgs/Bool of a dead-man switch; empty for none",
             "enable_timeout" => "silence (s) after which the dead-man switch counts as released",
             "stamp_trajectories" => {
-                "say when a trajectory begins; only where the driver's clock is this one's"
+                "say when a trajectory begins; false where the driver runs by another clock"
             }
             "control.dry_run" => {
                 "everything but motion; what would go out is on ~/dry_run/joint_trajectory"

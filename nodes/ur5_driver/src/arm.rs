@@ -112,7 +112,7 @@ fn session(
             bail!("the controller sends states that are not numbers");
         };
         let followed = state.has_program(*heartbeat);
-        let (order, fault) = shared.step(&state, followed);
+        let (order, fault) = shared.step(&state, followed, node.now());
         let (command, target) = match order {
             Order::Servo(target) => (Command::Servo, target),
             Order::Idle => (Command::Idle, state.q),

@@ -97,7 +97,9 @@ impl Broadcast {
         wrench.wrench.force = VectorMessage { x: fx, y: fy, z: fz };
         wrench.wrench.torque = VectorMessage { x: tx, y: ty, z: tz };
         self.wrench.publish(wrench);
-        self.speed_scaling.publish(Float64 { data: 100.0 * s.factor() });
+        // After a pause trajectories run slower than the robot would let them.
+        let scale = self.shared.follow_state().map_or(1.0, |f| f.scale);
+        self.speed_scaling.publish(Float64 { data: 100.0 * s.factor().min(scale) });
         self.modes(s.robot_mode, s.safety_mode, followed);
         self.inputs_outputs(s);
         if self.count % SLOW == 0 {

@@ -58,15 +58,16 @@ impl Shared {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// One state of the robot in; the order for it and a fault that was just found out. `followed`: a
+    /// One state of the robot in, at `clock`; the order for it and a fault that was just found out. `followed`: a
     /// program of ours runs on the robot.
-    pub fn step(&self, state: &ArmState, followed: bool) -> (Order, Option<String>) {
+    pub fn step(&self, state: &ArmState, followed: bool, clock: Stamp) -> (Order, Option<String>) {
         let mut guard = self.lock();
         let c = &mut *guard;
         c.hand_back &= followed;
         let held = c.held.is_some_and(|at| at.elapsed() < SWITCH_SILENT);
         let out = c.motion.step(&RobotInput {
             time: state.time,
+            clock,
             q: state.q,
             qd: state.qd,
             may_move: followed && state.is_safe() && !c.hand_back,
