@@ -80,24 +80,30 @@ fn session(
     let config = ClientConfig { frequency: link.frequency, outputs: OUTPUTS.to_vec(), inputs };
     let (mut client, first) = Client::new(config);
     socket.write_all(&first)?;
-    let mut buffer = [0_u8; 8192];
+    let mut buffer = vec![0_u8; 64 * 1024];
     let mut last_state = Instant::now();
     while !node.shutdown().is_requested() {
-        let n = match socket.read(&mut buffer) {
-            Ok(0) => bail!("the controller closed the connection"),
-            Ok(n) => n,
-            Err(e) if matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
-                bail!("no data for {} ms", SILENCE.as_millis())
-            }
-            Err(e) => return Err(e.into()),
-        };
         let mut newest = None;
-        for event in client.receive(&buffer[..n])? {
-            match event {
-                ClientEvent::Send(bytes) => socket.write_all(&bytes)?,
-                ClientEvent::Ready(version) => report(ArmEvent::Connected(version)),
-                ClientEvent::Text(_, text) => tracing::info!("controller: {text}"),
-                ClientEvent::Data(values) => newest = Some(values),
+        loop {
+            let n = match socket.read(&mut buffer) {
+                Ok(0) => bail!("the controller closed the connection"),
+                Ok(n) => n,
+                Err(e) if matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
+                    bail!("no data for {} ms", SILENCE.as_millis())
+                }
+                Err(e) => return Err(e.into()),
+            };
+            for event in client.receive(&buffer[..n])? {
+                match event {
+                    ClientEvent::Send(bytes) => socket.write_all(&bytes)?,
+                    ClientEvent::Ready(version) => report(ArmEvent::Connected(version)),
+                    ClientEvent::Text(_, text) => tracing::info!("controller: {text}"),
+                    ClientEvent::Data(values) => newest = Some(values),
+                }
+            }
+            // A full buffer means that we were held up: what waits behind it is newer.
+            if n < buffer.len() {
+                break;
             }
         }
         let Some(values) = newest else {

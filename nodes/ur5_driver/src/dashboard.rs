@@ -103,3 +103,33 @@ impl Link {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tokio::net::TcpListener;
+
+    #[tokio::test]
+    async fn a_closed_connection_is_opened_again() {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let dashboard = Dashboard::new(listener.local_addr().unwrap());
+        let server = tokio::spawn(async move {
+            for answer in ["Robotmode: IDLE\n", "Powering on\n"] {
+                let (mut socket, _) = listener.accept().await.unwrap();
+                socket.write_all(format!("{GREETING}\n").as_bytes()).await.unwrap();
+                let mut buffer = [0; 64];
+                let n = socket.read(&mut buffer).await.unwrap();
+                assert!(n > 0);
+                socket.write_all(answer.as_bytes()).await.unwrap();
+            }
+        });
+        let (answer, _) = dashboard.ask(&Request::RobotMode).await.unwrap();
+        assert_eq!(answer, Answer::RobotMode(5));
+        // The server has gone in between.
+        let (answer, words) = dashboard.ask(&Request::PowerOn).await.unwrap();
+        assert_eq!((answer, words.as_str()), (Answer::Done, "Powering on"));
+        server.await.unwrap();
+        assert!(dashboard.ask(&Request::PowerOn).await.is_err());
+        assert!(dashboard.ask(&Request::Popup("a\nb".into())).await.is_err());
+    }
+}

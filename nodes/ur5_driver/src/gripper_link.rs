@@ -197,3 +197,75 @@ fn once(port: &mut Serial, request: &ModbusRequest) -> anyhow::Result<Vec<u16>> 
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs::File;
+    use std::os::fd::{FromRawFd as _, OwnedFd};
+    use tdv_ur_protocol::modbus::crc16;
+
+    /// A pty: our end of the line as a file, and the name of the other.
+    fn line() -> (File, OwnedFd, String) {
+        let (mut ours, mut theirs) = (0, 0);
+        let mut name = [0_u8; 64];
+        // SAFETY: the pointers are to live variables of the right types, the name has room for any
+        // /dev/pts path, and both descriptors are owned from here on.
+        unsafe {
+            let (none, no_size) = (std::ptr::null_mut(), std::ptr::null_mut());
+            let made = libc::openpty(
+                &raw mut ours,
+                &raw mut theirs,
+                name.as_mut_ptr().cast(),
+                none,
+                no_size,
+            );
+            assert_eq!(made, 0);
+            let end = name.iter().position(|b| *b == 0).unwrap();
+            let path = String::from_utf8(name[..end].to_vec()).unwrap();
+            (File::from_raw_fd(ours), OwnedFd::from_raw_fd(theirs), path)
+        }
+    }
+
+    #[test]
+    fn a_serial_gripper_with_one_disturbed_reply() {
+        let (mut far, _keep, path) = line();
+        let mut link = GripperLink::open(&GripperAddress::Modbus(path)).unwrap();
+        let gripper = std::thread::spawn(move || {
+            let mut requests = Vec::new();
+            for turn in 0..3 {
+                let mut request = vec![0; if turn == 0 { 15 } else { 8 }];
+                far.read_exact(&mut request).unwrap();
+                let mut reply = match turn {
+                    0 => vec![9, 0x10, 0x03, 0xE8, 0, 3],
+                    _ => vec![9, 3, 6, 0xB9, 0, 0, 0xFF, 0xBD, 0],
+                };
+                let check = crc16(&reply).to_le_bytes();
+                reply.extend_from_slice(&check);
+                if turn == 1 {
+                    reply[4] ^= 1;
+                }
+                far.write_all(&reply).unwrap();
+                requests.push(request);
+            }
+            requests
+        });
+        let m = Move { number: 7, position: 0, speed: 255, force: 255 };
+        link.order(&m).unwrap();
+        let state = link.state(7).unwrap();
+        assert_eq!((state.position, state.requested, state.request), (0xBD, 0xFF, 7));
+        assert_eq!(state.object, ObjectStatus::ContactClosing);
+        let requests = gripper.join().unwrap();
+        // The manual's frame that opens the gripper.
+        let open = [9, 0x10, 3, 0xE8, 0, 3, 6, 9, 0, 0, 0, 0xFF, 0xFF, 0x72, 0x19];
+        assert_eq!(requests[0], open);
+        assert_eq!(requests[1], requests[2], "asked for again");
+    }
+
+    #[test]
+    fn a_device_that_is_not_there() {
+        let nowhere = GripperAddress::Modbus("/dev/no-such-line".into());
+        let error = GripperLink::open(&nowhere).err().unwrap();
+        assert!(format!("{error:#}").contains("/dev/no-such-line"));
+    }
+}

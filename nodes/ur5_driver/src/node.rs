@@ -39,7 +39,12 @@ pub async fn drive(node: Node, params: Params<DriverParameters>) -> anyhow::Resu
     let dashboard = Dashboard::new(p.address(p.dashboard_port));
     trajectory::subscribe(&node, &shared, &p.controller_name)?;
     trajectory::serve(&node, &shared, &p.controller_name)?;
-    controllers::serve(&node, &shared, &p.controller_name, p.frequency as u16)?;
+    controllers::serve(
+        &node,
+        &shared,
+        &p.controller_name,
+        if p.frequency > 0.0 { p.frequency as u16 } else { 125 },
+    )?;
     if p.enable_required {
         controllers::take_switch(&node, &shared)?;
     }

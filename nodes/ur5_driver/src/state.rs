@@ -171,3 +171,97 @@ impl Shared {
         c.waiting.clear();
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::arm_state::OUTPUTS;
+    use tdv_robot::{GoalCode, JOINT_NAMES, Limits, TrajectoryPoint};
+    use tdv_ur_protocol::rtde::{Value, output_field};
+
+    fn running() -> ArmState {
+        let values: Vec<Value> =
+            OUTPUTS.iter().map(|n| Value::zero(output_field(n).unwrap())).collect();
+        let mut s = ArmState::from_values(&values).unwrap();
+        (s.robot_mode, s.safety_mode, s.speed_scaling, s.speed_fraction) = (7, 1, 1.0, 1.0);
+        s
+    }
+
+    fn to(q: f64) -> JointTrajectory {
+        JointTrajectory {
+            names: JOINT_NAMES.map(String::from).to_vec(),
+            stamp: None,
+            points: vec![TrajectoryPoint {
+                positions: vec![q; 6],
+                velocities: vec![0.0; 6],
+                time_from_start: 0.2,
+                ..Default::default()
+            }],
+        }
+    }
+
+    fn shared(switch: bool) -> Shared {
+        Shared::new(MotionParams { limits: Limits::default(), following: 0.25 }, switch)
+    }
+
+    #[test]
+    fn only_a_running_program_on_a_safe_robot_gets_targets() {
+        let s = shared(false);
+        let now = Stamp::from_secs(1.0);
+        assert_eq!(s.follow(&to(0.05), now), Err(MotionRefusal::NoState));
+        let mut arm = running();
+        assert_eq!(s.step(&arm, true), (Order::Idle, None));
+        s.follow(&to(0.05), now).unwrap();
+        assert!(matches!(s.step(&arm, true).0, Order::Servo(_)));
+        for (followed, safety) in [(false, 1), (true, 3)] {
+            arm.safety_mode = safety;
+            assert_eq!(s.step(&arm, followed).0, Order::Idle);
+            arm.safety_mode = 1;
+            assert_eq!(s.step(&arm, true).0, Order::Idle, "nothing comes back");
+        }
+    }
+
+    #[test]
+    fn a_goals_end_reaches_its_waiter() {
+        let s = shared(false);
+        let arm = running();
+        s.step(&arm, true);
+        let now = Stamp::from_secs(1.0);
+        let (_, mut end) = s.follow_goal(&to(0.05), GoalTolerances::default(), now).unwrap();
+        assert!(end.try_recv().is_err());
+        s.step(&arm, false);
+        assert_eq!(end.try_recv().unwrap().code, GoalCode::InvalidGoal);
+        s.step(&arm, true);
+        let (_, mut end) = s.follow_goal(&to(0.05), GoalTolerances::default(), now).unwrap();
+        s.forget();
+        assert!(matches!(end.try_recv(), Err(oneshot::error::TryRecvError::Closed)));
+    }
+
+    #[test]
+    fn control_is_handed_back_until_the_program_has_ended() {
+        let s = shared(false);
+        let arm = running();
+        s.step(&arm, true);
+        s.follow(&to(0.05), Stamp::from_secs(1.0)).unwrap();
+        s.hand_back();
+        assert_eq!(s.step(&arm, true).0, Order::Stop);
+        assert_eq!(s.step(&arm, true).0, Order::Stop);
+        assert_eq!(s.step(&arm, false).0, Order::Idle);
+        assert_eq!(s.step(&arm, true).0, Order::Idle);
+    }
+
+    #[test]
+    fn the_switch_has_to_be_held_and_heard() {
+        let s = shared(true);
+        let arm = running();
+        let now = Stamp::from_secs(1.0);
+        s.step(&arm, true);
+        assert_eq!(s.follow(&to(0.05), now), Err(MotionRefusal::NotEnabled));
+        s.switch(true);
+        s.step(&arm, true);
+        s.follow(&to(0.05), now).unwrap();
+        s.switch(false);
+        s.step(&arm, true);
+        assert_eq!(s.follow(&to(0.05), now), Err(MotionRefusal::NotEnabled));
+    }
+}

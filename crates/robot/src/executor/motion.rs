@@ -427,7 +427,10 @@ impl Motion {
     /// Decelerates from the present target to rest.
     fn rest(&mut self) {
         match self.desired {
-            Some(from) if self.executor.goal().is_some() || from.qd != [0.0; 6] => {
+            Some(mut from) if self.executor.goal().is_some() || from.qd != [0.0; 6] => {
+                // The executor's speeds are those of unstretched time.
+                let factor = self.scale.factor().max(0.05);
+                from.qd = from.qd.map(|v| v / factor);
                 self.executor.stop(self.time, &from, self.params.limits.stop_acceleration);
             }
             _ => {}
