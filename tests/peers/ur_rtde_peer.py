@@ -126,7 +126,7 @@ def servo(lab, control, receive, period):
             late = max(late, q[0] - receive.getActualQ()[0])
         control.waitPeriod(start)
     took = time.monotonic() - began
-    check("1,000 servoJ at rate", took < 1.3 * ticks * period, f"{took:.2f} s, ideal {ticks * period:.2f} s")
+    check("1,000 servoJ at rate", took < 1.5 * ticks * period, f"{took:.2f} s, ideal {ticks * period:.2f} s")
     check("it follows", late < 0.15 * 0.15, f"at most {late / 0.15 * 1e3:.0f} ms behind")
     check("servoStop", control.servoStop())
     check("it rests near the last target", until(1.0, lambda: max(map(abs, lab.truth()["qd"])) < 1e-9)

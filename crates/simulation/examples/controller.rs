@@ -14,6 +14,7 @@
 //! | `quit` | ends (so does the end of stdin) |
 #![allow(clippy::print_stdout, missing_docs)]
 
+use std::f64::consts::FRAC_PI_2;
 use std::io::BufRead;
 use std::net::IpAddr;
 use std::process::ExitCode;
@@ -24,7 +25,8 @@ use tdv_simulation::gripper::{Gripper, STROKE};
 use tdv_simulation::ur_server::{ServerConfig, UrServer};
 
 const DT: f64 = 0.002;
-const HOME: [f64; 6] = [-0.276380, -1.794073, 1.592088, -1.368812, -1.570796, -1.847177];
+/// The tool points down, half a metre above the table's edge.
+const HOME: [f64; 6] = [-0.276380, -1.794073, 1.592088, -1.368812, -FRAC_PI_2, -1.847177];
 /// A delay longer than this is forgiven instead of made up for.
 const FORGIVEN: Duration = Duration::from_millis(50);
 

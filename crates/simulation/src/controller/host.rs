@@ -12,99 +12,16 @@ use tdv_geometry::Pose;
 use tdv_geometry::nalgebra::Vector6;
 use tdv_urscript::{Call, Host, Reply, Value};
 
-/// Signatures of what is simulated.
+/// Signatures of what this controller has besides the usual functions, or with other defaults.
 pub(super) const SIGNATURES: &str = "\
-movej(q, a = 1.4, v = 1.05, t = 0, r = 0)
-movel(pose, a = 1.2, v = 0.25, t = 0, r = 0)
-movep(pose, a = 1.2, v = 0.25, r = 0)
 servoj(q, a = 0, v = 0, t = 0.002, lookahead_time = 0.1, gain = 300)
-speedj(qd, a = 1.4, t = None)
-speedl(xd, a = 1.2, t = None, aRot = None)
-stopj(a = 2)
-stopl(a = 20, aRot = None)
-get_actual_joint_positions()
-get_actual_joint_speeds()
-get_target_joint_positions()
-get_target_joint_speeds()
-get_actual_joint_positions_history(steps = 0)
-get_actual_tcp_pose()
-get_target_tcp_pose()
-get_actual_tool_flange_pose()
-get_actual_tcp_speed()
-get_target_tcp_speed()
-get_tcp_force()
-force()
-get_tcp_offset()
-set_tcp(pose, tcp_name = None)
-set_payload(m, cog = None)
-set_payload_mass(m)
-set_payload_cog(cog)
-set_target_payload(m, cog = None, inertia = None, transition_time = 0)
-get_target_payload()
-get_target_payload_cog()
-get_target_payload_inertia()
-set_gravity(d)
-get_inverse_kin(x, qnear = None, maxPositionError = 1e-10, maxOrientationError = 1e-10, tcp = None)
-get_inverse_kin_has_solution(x, qnear = None, maxPositionError = 1e-10, maxOrientationError = 1e-10, tcp = None)
-get_forward_kin(q = None, tcp = None)
-is_within_safety_limits(pose, qnear = None)
-is_steady()
-get_steptime()
-protective_stop()
-textmsg(s1, s2 = '')
-popup(s, title = 'Popup', warning = False, error = False, blocking = False)
-read_input_integer_register(address)
-read_input_float_register(address)
-read_input_boolean_register(address)
-read_output_integer_register(address)
-read_output_float_register(address)
-read_output_boolean_register(address)
-write_output_integer_register(address, value)
-write_output_float_register(address, value)
-write_output_boolean_register(address, value)
-rtde_set_watchdog(variable_name, min_frequency, action = 'pause')
-get_standard_digital_in(n)
-get_standard_digital_out(n)
-set_standard_digital_out(n, b)
-get_configurable_digital_in(n)
-get_configurable_digital_out(n)
-set_configurable_digital_out(n, b)
-get_tool_digital_in(n)
-get_tool_digital_out(n)
-set_tool_digital_out(n, b)
-get_digital_in(n)
-get_digital_out(n)
-set_digital_out(n, b)
-get_standard_analog_in(n)
-get_standard_analog_out(n)
-set_standard_analog_out(n, f)
-set_analog_out(n, f)
-get_analog_in(n)
-set_tool_voltage(voltage)
-force_mode_set_damping(damping)
-force_mode_set_gain_scaling(scaling)
-end_force_mode()
-end_teach_mode()
-end_freedrive_mode()
-get_freedrive_status()
-zero_ftsensor()
 set_speed(fraction)
 get_robot_mode()
 get_safety_mode()
 ";
 
-/// Signatures of what a script may contain but this controller does not do.
+/// More signatures of what a script may contain but this controller does not do.
 pub(super) const NOT_SIMULATED: &str = "\
-servoc(pose, a = 1.2, v = 0.25, r = 0)
-movec(pose_via, pose_to, a = 1.2, v = 0.25, r = 0, mode = 0)
-force_mode(task_frame, selection_vector, wrench, type, limits)
-teach_mode()
-freedrive_mode(freeAxes = None, feature = None)
-tool_contact(direction = None)
-get_joint_torques()
-get_target_waypoint()
-enable_external_ft_sensor(enable, sensor_mass = 0, sensor_measuring_offset = None, sensor_cog = None)
-ft_rtde_input_enable(enable, sensor_mass = 0, sensor_measuring_offset = None, sensor_cog = None)
 direct_torque(torque, friction_comp = True)
 get_jacobian(q = None, tcp = None)
 get_jacobian_time_derivative(q = None, qd = None, tcp = None)
@@ -337,7 +254,7 @@ impl Core {
         let pose = |p: &Pose| done(Value::Pose(six(p))).map(Some);
         let value = |v: Value| done(v).map(Some);
         let reply = match call.function {
-            "get_actual_joint_positions" | "get_target_joint_positions" => {
+            "get_actual_joint_positions" | "get_target_joint_positions" | "get_joint_positions" => {
                 return list(&self.mover.q);
             }
             "get_actual_joint_speeds" | "get_target_joint_speeds" => return list(&self.mover.qd),
@@ -430,7 +347,8 @@ impl Core {
                 }
             }
             "textmsg" => {
-                let text = format!("{}{}", words(&a[0]), words(&a[1]));
+                let more = if a[1] == Value::Nothing { String::new() } else { words(&a[1]) };
+                let text = words(&a[0]) + &more;
                 self.say(MessageKind::Log, text);
                 Reply::Done(Value::Nothing)
             }

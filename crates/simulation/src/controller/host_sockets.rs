@@ -5,20 +5,8 @@ use super::sockets::{ScriptSockets, SocketState};
 use tdv_urscript::{Call, Reply, Value};
 
 pub(super) const SIGNATURES: &str = "\
-socket_open(address, port, socket_name = 'socket_0')
-socket_close(socket_name = 'socket_0')
-socket_send_string(str, socket_name = 'socket_0')
-socket_send_line(str, socket_name = 'socket_0')
 socket_sendln(str, socket_name = 'socket_0')
-socket_send_int(value, socket_name = 'socket_0')
-socket_send_byte(value, socket_name = 'socket_0')
-socket_read_string(socket_name = 'socket_0', prefix = '', suffix = '', interpret_escape = False, timeout = 2)
-socket_read_line(socket_name = 'socket_0', timeout = 2)
-socket_read_byte_list(number, socket_name = 'socket_0', timeout = 2)
-socket_read_binary_integer(number, socket_name = 'socket_0', timeout = 2)
-socket_read_ascii_float(number, socket_name = 'socket_0', timeout = 2)
 socket_get_var(name, socket_name = 'socket_0', timeout = 2)
-socket_set_var(name, value, socket_name = 'socket_0')
 ";
 
 /// Numbers that one read may ask for.

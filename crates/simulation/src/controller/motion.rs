@@ -311,9 +311,9 @@ impl Mover {
                 }
                 let gap: Six = std::array::from_fn(|i| qd[i] * scale - self.qd[i]);
                 let share = (a.min(MAX_ACCELERATION) * dt / fastest(&gap).max(1e-12)).min(1.0);
-                for i in 0..6 {
-                    self.qd[i] += share * gap[i];
-                    self.q[i] += self.qd[i] * dt;
+                for ((q, qd), gap) in self.q.iter_mut().zip(&mut self.qd).zip(gap) {
+                    *qd += share * gap;
+                    *q += *qd * dt;
                 }
                 Ok(false)
             }

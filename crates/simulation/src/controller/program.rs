@@ -2,7 +2,7 @@
 
 use super::{host, host_sockets};
 use std::sync::OnceLock;
-use tdv_urscript::{Functions, Limits, Program, ScriptError};
+use tdv_urscript::{CONTROLLER, Functions, Limits, Program, ScriptError};
 use thiserror::Error;
 
 /// Why the controller does not run a program.
@@ -45,23 +45,29 @@ fn read(text: &str) -> Result<Vec<Program>, ProgramError> {
     if programs.is_empty() { Err(ProgramError::Empty) } else { Ok(programs) }
 }
 
+/// The usual functions of a controller, then what is different here.
+fn table() -> String {
+    [CONTROLLER, host::NOT_SIMULATED, host::SIGNATURES, host_sockets::SIGNATURES].concat()
+}
+
 /// All functions of the controller; those that it does not simulate are known too.
 fn functions() -> &'static Functions {
     static TABLE: OnceLock<Functions> = OnceLock::new();
     TABLE.get_or_init(|| {
-        let all = [host::SIGNATURES, host_sockets::SIGNATURES, host::NOT_SIMULATED].concat();
         // The table is a constant that a test parses; an empty one would make every name unknown.
-        Functions::parse(&all).unwrap_or_default()
+        Functions::parse(&table()).unwrap_or_default()
     })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tdv_urscript::Value;
 
     #[test]
     fn the_table_of_functions_is_read() {
-        let all = [host::SIGNATURES, host_sockets::SIGNATURES, host::NOT_SIMULATED].concat();
-        assert_eq!(Functions::parse(&all).unwrap().list().len(), all.lines().count());
+        let all = Functions::parse(&table()).unwrap();
+        assert!(all.get("movej").is_some() && all.get("set_speed").is_some());
+        assert_eq!(all.get("servoj").unwrap().parameters[3].default, Some(Value::Float(0.002)));
     }
 }

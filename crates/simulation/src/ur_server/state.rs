@@ -128,7 +128,7 @@ impl InputRegisters {
 /// Where the value of an output field comes from; looked up once, when a recipe is set up.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Source {
-    Field(fn(&Controller) -> Value),
+    Field(Get),
     InputInt(usize),
     InputDouble(usize),
     InputBit(usize),
@@ -153,8 +153,11 @@ pub(crate) fn joint_mode(c: &Controller) -> i32 {
     }
 }
 
+/// Value of a field.
+type Get = fn(&Controller) -> Value;
+
 /// Names and values of what is simulated.
-const FIELDS: &[(&str, fn(&Controller) -> Value)] = &[
+const FIELDS: &[(&str, Get)] = &[
     ("timestamp", |c| Value::Double(c.time())),
     ("actual_q", |c| Value::Vector6d(*c.q())),
     ("actual_qd", |c| Value::Vector6d(*c.qd())),
@@ -210,7 +213,8 @@ impl Source {
     /// Source of an output field, `None` if no controller has it.
     pub(crate) fn of(name: &str) -> Option<Self> {
         let kind = output_field(name)?;
-        let registers: [(&str, fn(usize) -> Self); 6] = [
+        type Register = fn(usize) -> Source;
+        let registers: [(&str, Register); 6] = [
             ("input_int_register_", Self::InputInt),
             ("input_double_register_", Self::InputDouble),
             ("input_bit_register_", Self::InputBit),
