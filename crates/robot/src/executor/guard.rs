@@ -77,15 +77,15 @@ pub struct TargetGuard {
 }
 
 impl TargetGuard {
-    /// For the limits of the motion; single steps may be 30 % faster than the joint speed limit (a
-    /// preempting trajectory catches up a little), none larger than 0.1 rad, and the first target must
+    /// For the limits of the motion; single steps may be twice as fast as the joint speed limit (a
+    /// trajectory that comes late catches up a little), none larger than 0.1 rad, and the first target must
     /// be within 0.1 rad of the arm, every other one within 0.25 rad: `servoj` lags by about 40 ms, 0.04 rad at
     /// 1 rad/s.
     pub fn new(limits: &Limits) -> Self {
         Self {
             lower: limits.joint_lower,
             upper: limits.joint_upper,
-            velocity: 1.3 * limits.joint_velocity,
+            velocity: 2.0 * limits.joint_velocity,
             max_step: 0.1,
             first_within: 0.1,
             following: 0.25,
@@ -118,7 +118,7 @@ impl TargetGuard {
         /// Shortest time between targets that is believed (s); two in one tick are one step.
         const SHORTEST: f64 = 0.008;
         /// And the longest: a pause between targets is no licence for a jump.
-        const LONGEST: f64 = 0.05;
+        const LONGEST: f64 = 0.03;
         for i in 0..6 {
             let (joint, value) = (JOINT_NAMES[i], target[i]);
             let (lower, upper) = (self.lower[i], self.upper[i]);

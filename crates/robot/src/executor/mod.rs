@@ -1,6 +1,7 @@
 //! The driver's side of a joint trajectory: acceptance by the rules of ros2_control's joint
 //! trajectory controller, sampling, preemption, and a last guard before the robot. Pure.
 
+mod clocks;
 mod goal;
 mod guard;
 mod motion;

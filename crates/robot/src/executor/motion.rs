@@ -2,6 +2,7 @@
 //! controller has the arm, trajectories in stretched time, streams that go stale, goals with
 //! tolerances, the guard, and a fault that stays until it is reset.
 
+use super::clocks::Clocks;
 use super::stream::{self, Command, STALE};
 use super::{
     Desired, ExecutorParams, GoalCode, GoalEndReport, GoalTolerances, JointTrajectory,
@@ -76,7 +77,7 @@ pub struct MotionParams {
 pub struct RobotInput {
     /// The robot's own clock (s): only differences count.
     pub time: f64,
-    /// The graph's clock at the same moment.
+    /// The graph's clock when this state was looked at; it may come late.
     pub clock: Stamp,
     /// Measured joints (rad).
     pub q: Joints,
@@ -146,6 +147,7 @@ pub struct Motion {
     /// Trajectory time: the sum of all stretched cycles.
     time: Stamp,
     robot: Option<RobotInput>,
+    clocks: Clocks,
     stream: Option<(Command, f64)>,
     desired: Option<Desired>,
     goal: Option<Goal>,
@@ -170,6 +172,7 @@ impl Motion {
             scale: SpeedScale::full(),
             time: Stamp::default(),
             robot: None,
+            clocks: Clocks::default(),
             stream: None,
             desired: None,
             goal: None,
@@ -292,6 +295,7 @@ impl Motion {
         let dt = self.robot.map_or(0.0, |before| robot.time - before.time);
         let paused = self.robot.is_some_and(|before| !before.may_move);
         self.robot = Some(*robot);
+        self.clocks.observe(robot);
         let mut fault = None;
         if !robot.may_move || robot.watchdog {
             // What was commanded is forgotten: it must not come back when the robot may move again.
@@ -396,7 +400,8 @@ impl Motion {
         let robot = self.ready(MotionController::Trajectory)?;
         let current = self.desired.unwrap_or(Desired { q: robot.q, qd: [0.0; 6] });
         // Between two states of the robot trajectory time goes on too.
-        let late = now.since(robot.clock).clamp(0.0, SpeedScale::LONGEST_STEP);
+        let since = now.since(robot.clock) + self.clocks.late(robot);
+        let late = since.clamp(0.0, SpeedScale::LONGEST_STEP);
         let at = self.time.plus(late * self.scale.factor());
         let mut executor = self.executor.clone();
         executor.accept_at(t, now, at, &current)?;
