@@ -68,7 +68,7 @@ pub struct PlannerParams {
 
 impl Default for PlannerParams {
     fn default() -> Self {
-        Self { seed: 1, max_iterations: 4000, shortcuts: 60, candidates: 3, slip: 1e-3 }
+        Self { seed: 1, max_iterations: 4000, shortcuts: 25, candidates: 1, slip: 1e-3 }
     }
 }
 
