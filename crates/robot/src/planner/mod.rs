@@ -25,8 +25,8 @@ use thiserror::Error;
 /// A straight line to another goal is taken at once if it is at most this much longer than the one to
 /// the nearest goal.
 const DETOUR: f64 = 1.5;
-/// Iterations spent on something better than a straight line that is longer than that.
-const BETTER: usize = 200;
+/// Iterations spent on a way to the near goals while others are left, and on each further candidate.
+const BETTER: usize = 600;
 
 /// Where to go.
 #[derive(Debug, Clone, PartialEq)]
@@ -59,6 +59,8 @@ pub struct PlannerParams {
     pub max_iterations: usize,
     /// Random shortcuts tried on a path with corners.
     pub shortcuts: usize,
+    /// Paths found for choice, when no straight line is free; the one that takes least time is kept.
+    pub candidates: usize,
     /// How far shapes may intrude into their margins between two looks at an edge (m); below every
     /// margin of the collision world, or an edge may touch.
     pub slip: f64,
@@ -66,7 +68,7 @@ pub struct PlannerParams {
 
 impl Default for PlannerParams {
     fn default() -> Self {
-        Self { seed: 1, max_iterations: 4000, shortcuts: 40, slip: 1e-3 }
+        Self { seed: 1, max_iterations: 4000, shortcuts: 25, candidates: 1, slip: 1e-3 }
     }
 }
 
@@ -138,6 +140,13 @@ pub struct PlannedMotion {
     pub iterations: usize,
 }
 
+impl PlannedMotion {
+    /// Seconds.
+    pub fn duration(&self) -> f64 {
+        self.trajectory.points.last().map_or(0.0, |p| p.time_from_start)
+    }
+}
+
 /// Plans for one arm in one world.
 #[derive(Debug, Clone)]
 pub struct Planner<'a> {
@@ -173,12 +182,16 @@ impl Planner<'_> {
             });
         }
         let goals = self.goals(request, &edges)?;
-        let (path, iterations) = match self.straight(&edges, &start, &goals) {
-            (Some(g), true) => (vec![start, g], 0),
+        let (paths, iterations) = match self.straight(&edges, &start, &goals) {
+            (Some(g), true) => (vec![vec![start, g]], 0),
             (fallback, _) => self.around(&edges, &start, &goals, fallback, expired)?,
         };
-        let trajectory = parametrise(&path, self.kinematics, self.limits);
-        Ok(PlannedMotion { path, trajectory, iterations })
+        let timed = paths.into_iter().map(|path| {
+            let trajectory = parametrise(&path, self.kinematics, self.limits);
+            PlannedMotion { path, trajectory, iterations }
+        });
+        let quickest = timed.min_by(|a, b| a.duration().total_cmp(&b.duration()));
+        quickest.ok_or(PlanError::NoPath { iterations })
     }
 
     /// The nearest goal with a free straight line, and whether it is as near as any goal: the line to
@@ -189,7 +202,8 @@ impl Planner<'_> {
         (found, found.is_some_and(|g| edge::length(start, &g) <= DETOUR * least))
     }
 
-    /// A path with corners, or the straight one that is there to fall back on if that is shorter.
+    /// Candidates: paths to the near goals, a few for choice; the straight line that is there to fall
+    /// back on; only if there is neither, a path to any goal.
     fn around(
         &self,
         edges: &Edges,
@@ -197,25 +211,41 @@ impl Planner<'_> {
         goals: &[Joints],
         fallback: Option<Joints>,
         expired: &mut dyn FnMut() -> bool,
-    ) -> Result<(Vec<Joints>, usize), PlanError> {
+    ) -> Result<(Vec<Vec<Joints>>, usize), PlanError> {
         let mut rng = ChaCha8Rng::seed_from_u64(self.params.seed);
-        let mut search = tree::Search::new(self.limits, edges, start, goals);
-        let most = self.params.max_iterations;
-        let most = if fallback.is_some() { most.min(BETTER) } else { most };
-        let found = search.run(most, &mut rng, expired);
-        let straight = fallback.map(|g| vec![*start, g]);
-        let path = match (found, straight) {
-            (Err(e), None) => return Err(e),
-            (Err(_), Some(s)) => s,
-            (Ok(p), s) => {
-                let p = tree::shorten(p, edges, self.params.shortcuts, &mut rng, expired);
-                match s {
-                    Some(s) if edge::path_length(&s) <= edge::path_length(&p) => s,
-                    _ => p,
+        let least = goals.first().map_or(0.0, |g| edge::length(start, g));
+        let near = goals.partition_point(|g| edge::length(start, g) <= DETOUR * least);
+        let elsewhere = near < goals.len();
+        let (mut paths, mut used) = (Vec::new(), 0);
+        for _ in 0..self.params.candidates.max(1) {
+            let left = self.params.max_iterations.saturating_sub(used);
+            let most = if elsewhere || !paths.is_empty() { left.min(BETTER) } else { left };
+            let mut search = tree::Search::new(self.limits, edges, start, &goals[..near]);
+            let found = search.run(most, &mut rng, expired);
+            used += search.iterations;
+            match found {
+                Ok(p) => {
+                    let tries = self.params.shortcuts;
+                    paths.push(tree::shorten(p, edges, tries, &mut rng, expired));
                 }
+                Err(e) if !elsewhere && paths.is_empty() => return Err(e),
+                Err(_) => break,
             }
-        };
-        Ok((path, search.iterations))
+        }
+        paths.extend(fallback.map(|g| vec![*start, g]));
+        if paths.is_empty() {
+            let left = self.params.max_iterations.saturating_sub(used);
+            let mut search = tree::Search::new(self.limits, edges, start, goals);
+            let found = search.run(left, &mut rng, expired);
+            used += search.iterations;
+            // The count is of the whole query.
+            let p = found.map_err(|e| match e {
+                PlanError::TimedOut { .. } => PlanError::TimedOut { iterations: used },
+                _ => PlanError::NoPath { iterations: used },
+            })?;
+            paths.push(tree::shorten(p, edges, self.params.shortcuts, &mut rng, expired));
+        }
+        Ok((paths, used))
     }
 
     fn outside(&self, q: &Joints) -> Option<usize> {
