@@ -5,9 +5,13 @@ mod bench;
 use bench::*;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use std::path::Path;
 use tdv_geometry::pose_distance;
-use tdv_robot::collision::fingertip_height;
+use tdv_robot::collision::{
+    CollisionWorld, Fixture, FixtureShape, Margins, Workcell, fingertip_height,
+};
 use tdv_robot::motion::{ObjectPlace, Plan, Requests, StatusCode as S};
+use tdv_robot::urdf::RobotModel;
 use tdv_robot::{ArmController, ControllerParams, Desired};
 
 fn strict() -> Bench {
@@ -450,6 +454,60 @@ fn home_and_speed_scaling() {
     b.input.speed_scaling = f64::NAN;
     b.run(0.2);
     assert_eq!(b.last_code(), S::Disabled);
+}
+
+/// A wall between the arm and its home pose, and one in the way of a plan.
+#[test]
+fn the_way_home_leads_around_a_wall_and_no_plan_through_it() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/robot");
+    let model = RobotModel::load(&folder.join("ur5_2f85.urdf")).unwrap();
+    let wall = |position: [f64; 3], edges: [f64; 3]| Fixture {
+        name: "wall".into(),
+        shape: FixtureShape::Box(edges),
+        position,
+        rpy: [0.0; 3],
+    };
+    let world = |wall: Fixture| {
+        CollisionWorld::new(&model, &Workcell::new(vec![wall]), Margins::default(), 0.0).unwrap()
+    };
+    // Start: tcp at y = -0.12, home: tcp near y = 0.11; the wall stands between.
+    let around = world(wall([0.45, 0.02, 0.20], [0.5, 0.02, 0.40]));
+    let mut params = ControllerParams { auto_resume: true, ..Default::default() };
+    params.home = [0.45, -1.9, 1.9, -1.5708, -1.5708, 0.0];
+    let mut b = Bench::new(params.clone());
+    assert!(around.check(&b.q, 0.0, None).is_ok() && around.check(&params.home, 0.0, None).is_ok());
+    let straight = (1..20).any(|i| {
+        let x = f64::from(i) / 20.0;
+        let q = std::array::from_fn(|j| b.q[j] + (params.home[j] - b.q[j]) * x);
+        around.check(&q, 0.0, None).is_err()
+    });
+    assert!(straight, "the straight line is free: the test tests nothing");
+    b.controller =
+        ArmController::new(b.k.clone(), params.clone()).unwrap().with_world(around.clone());
+    b.perceive = false;
+    b.run(0.3);
+    b.input.requests.home = true;
+    let mut least = f64::INFINITY;
+    for _ in 0..4000 {
+        b.tick();
+        least = least.min(around.distance(&b.q, 0.0, None).unwrap().distance);
+    }
+    assert!((0..6).all(|i| (b.q[i] - params.home[i]).abs() < 0.005), "{:?}", b.log.sentences);
+    println!("nearest to the wall or itself {:.1} mm", least * 1e3);
+    assert!(least > 0.0, "{least}");
+
+    // Low and right on the way to the object: the arm stops before it.
+    let ahead = world(wall([0.50, 0.05, 0.15], [0.02, 0.3, 0.30]));
+    let mut b = lab();
+    let params = ControllerParams { auto_resume: true, ..Default::default() };
+    b.controller = ArmController::new(b.k.clone(), params).unwrap().with_world(ahead.clone());
+    let mut least = f64::INFINITY;
+    for _ in 0..800 {
+        b.tick();
+        least = least.min(ahead.distance(&b.q, b.knuckle, None).unwrap().distance);
+    }
+    assert!(least > 0.0, "{least}");
+    assert!(b.log.sentences.iter().any(|s| s.contains("from wall")), "{:?}", b.log.sentences);
 }
 
 /// Whatever comes in, in whatever order: no panic, and nothing but sound trajectories that go on from

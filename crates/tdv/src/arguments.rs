@@ -128,8 +128,26 @@ pub struct RecordDemoArgs {
 pub enum EvalCommand {
     /// Trials of the whole live graph in the virtual lab, judged on its truth
     ClosedLoop(ClosedLoopArgs),
+    /// Seeded troubles for controller, driver and robot, in one process on simulated time
+    Faults(FaultsArgs),
     /// Track an object of a recorded data set and compare with its reference poses
     Tracking(TrackingArgs),
+}
+
+#[derive(Args)]
+pub struct FaultsArgs {
+    /// Scene of the virtual lab
+    #[arg(long, default_value = "config/scenes/cup_on_coaster.yaml")]
+    pub scene: PathBuf,
+    /// Cases; each has its own seed
+    #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..))]
+    pub cases: u64,
+    /// First seed
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Result file
+    #[arg(long)]
+    pub json: Option<PathBuf>,
 }
 
 #[derive(Args, Clone)]

@@ -5,6 +5,7 @@ mod bag;
 mod demo;
 mod doctor;
 mod eval;
+mod faults;
 mod graph;
 mod launch;
 mod motion;
@@ -31,6 +32,7 @@ fn main() -> ExitCode {
         Command::Record(a) => record::run(&a).map(|()| true),
         Command::RecordDemo(a) => record_demo::run(&a).map(|()| true),
         Command::Eval(EvalCommand::ClosedLoop(a)) => eval::closed_loop(&a),
+        Command::Eval(EvalCommand::Faults(a)) => faults::campaign(&a),
         Command::Eval(EvalCommand::Tracking(a)) => tracking::run(&a),
         Command::Bag(BagCommand::Info { bag }) => bag::info(&bag).map(|()| true),
         Command::Doctor(a) => doctor::run(&a),

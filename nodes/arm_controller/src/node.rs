@@ -58,6 +58,10 @@ pub async fn control(node: Node, params: Params<ArmParameters>) -> anyhow::Resul
     let kinematics = if p.robot == "ur5e" { Kinematics::ur5e() } else { Kinematics::ur5() };
     let core = ArmController::new(kinematics, p.control.clone())
         .map_err(|problems| anyhow::anyhow!("{}", problems.join("; ")))?;
+    let core = match p.world()? {
+        Some(world) => core.with_world(world),
+        None => core,
+    };
     let input: SharedInput = Arc::default();
     let permissions = permissions(&node, &p)?;
     let take = Arc::new(AtomicBool::new(false));

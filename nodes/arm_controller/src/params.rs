@@ -1,5 +1,8 @@
 use serde::{Deserialize, Serialize};
+use std::path::Path;
 use tdv_robot::ControllerParams;
+use tdv_robot::collision::{CollisionWorld, Margins, Workcell};
+use tdv_robot::urdf::RobotModel;
 use tdv_runtime::Parameters;
 
 /// What the driver is given.
@@ -28,6 +31,8 @@ pub enum GripperAction {
 pub struct ArmParameters {
     pub robot: String,
     pub limits_file: String,
+    pub robot_description: String,
+    pub workcell: String,
     pub command: Command,
     pub trajectory_controller: String,
     pub forward_controller: String,
@@ -47,6 +52,8 @@ impl Default for ArmParameters {
         Self {
             robot: "ur5".into(),
             limits_file: String::new(),
+            robot_description: String::new(),
+            workcell: String::new(),
             command: Command::Trajectory,
             trajectory_controller: "scaled_joint_trajectory_controller".into(),
             forward_controller: "forward_position_controller".into(),
@@ -64,6 +71,25 @@ impl Default for ArmParameters {
 }
 
 impl ArmParameters {
+    /// What the arm may run into, when a description is given.
+    pub fn world(&self) -> anyhow::Result<Option<CollisionWorld>> {
+        if self.robot_description.is_empty() {
+            return Ok(None);
+        }
+        let model = RobotModel::load(Path::new(&self.robot_description))?;
+        let cell = match self.workcell.as_str() {
+            "" => Workcell::default(),
+            path => Workcell::load(Path::new(path))?,
+        };
+        let limits = &self.control.limits;
+        let margins = Margins {
+            table: limits.link_clearance,
+            fingertip: limits.fingertip_clearance,
+            ..Margins::default()
+        };
+        Ok(Some(CollisionWorld::new(&model, &cell, margins, limits.table_z)?))
+    }
+
     /// The controller that moves the arm.
     pub fn motion_controller(&self) -> &str {
         match self.command {
@@ -96,6 +122,10 @@ impl Parameters for ArmParameters {
             }
             "trajectory_controller" => "controller that takes the joint trajectories",
             "gripper_controller" => "controller that offers the gripper action",
+            "robot_description" => {
+                "URDF of arm and gripper with collision shapes; empty: only the table is known"
+            }
+            "workcell" => "what stands in the arm's reach (config/robot/workcell.yaml)",
             "command" => {
                 "trajectory: short trajectories that end at rest; forward_position: positions at each \
                  tick, which a driver may hold for ever when this node dies"

@@ -15,7 +15,9 @@ use tdv_robot::motion::{
     Attach, GripperFeedback, JointState, Moving, ObjectPlace, ObjectReport, Plan, ProcedureState,
     Requests, StatusCode,
 };
-use tdv_robot::{ArmController, ControllerInput, ControllerParams, JointTrajectory, Kinematics, Limits};
+use tdv_robot::{
+    ArmController, ControllerInput, ControllerParams, JointTrajectory, Kinematics, Limits,
+};
 use tdv_simulation::controller::{RobotMode, SafetyMode, StopReason};
 use tdv_simulation::gripper::{Activation, GripperRequest as Registers, ObjectStatus};
 use tdv_simulation::trial::PlacingGoal;
@@ -177,7 +179,8 @@ impl Rig {
                 break;
             }
         }
-        self.result.recovered |= self.stage == Stage::Before && self.status == Some(StatusCode::Done);
+        self.result.recovered |=
+            self.stage == Stage::Before && self.status == Some(StatusCode::Done);
         self.result.placed = self.lab.trial().success;
 
         Ok(self.result)
@@ -374,9 +377,8 @@ impl Rig {
     }
 
     fn noisy(&mut self, p: &Pose) -> Pose {
-        let mut any = |most: f64| -> [f64; 3] {
-            std::array::from_fn(|_| self.rng.random_range(-most..most))
-        };
+        let mut any =
+            |most: f64| -> [f64; 3] { std::array::from_fn(|_| self.rng.random_range(-most..most)) };
         let (shift, turn) = (any(NOISE.0), any(NOISE.1));
         planner::disturbed(p, shift, turn)
     }
@@ -389,10 +391,10 @@ impl Rig {
         let (seen, place) = (self.noisy(&object), self.noisy(&reference));
         let tcp = self.arm.fk_tcp(self.lab.joints().0);
         let stamp = self.now();
-        let held_place = if self.held && truly_held { ObjectPlace::Held } else { ObjectPlace::Apart };
+        let held_place =
+            if self.held && truly_held { ObjectPlace::Held } else { ObjectPlace::Apart };
         self.input.object = Some(ObjectReport { stamp, place: held_place });
-        self.input.attach =
-            self.held.then(|| Attach { stamp, pose: tcp.inverse() * object });
+        self.input.attach = self.held.then(|| Attach { stamp, pose: tcp.inverse() * object });
         let (moving, from, base, goal) = if self.procedure == 0 {
             let upright = pose_from_xyz_rpy(
                 [seen.translation.x, seen.translation.y, object.translation.z],

@@ -70,10 +70,9 @@ impl CampaignReport {
         );
         for k in &self.kinds {
             let name = serde_json::to_string(&k.kind).unwrap_or_default().replace('"', "");
-            let rest = k.rest_ms.map_or_else(
-                || "-".into(),
-                |[p50, max]| format!("{p50:.0} / {max:.0} ms"),
-            );
+            let rest = k
+                .rest_ms
+                .map_or_else(|| "-".into(), |[p50, max]| format!("{p50:.0} / {max:.0} ms"));
             let _ = writeln!(
                 out,
                 "  {name:18} {:5} {:5} {:9} {:6}   {rest}",

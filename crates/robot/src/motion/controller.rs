@@ -2,15 +2,17 @@ use super::hold::{Cause, Hold};
 use super::law::{self, MotionState};
 use super::params::ControllerParams;
 use super::plan::PlanFollower;
-use super::projection::{Projection, Target, project};
+use super::planned::PlannedPath;
+use super::projection::{Around, Projection, Target, project};
 use super::sequence::{Phase, Script};
 use super::types::{
     ControllerInput, ControllerOutput, GripperRequest, JointPath, JointState, Status, StatusCode,
 };
-use crate::collision::fingertip_height;
+use crate::collision::{CollisionWorld, fingertip_height};
 use crate::gripper::KNUCKLE_CLOSED;
 use crate::kinematics::{Joints, Kinematics};
 use std::f64::consts::TAU;
+use std::sync::Arc;
 use tdv_geometry::{Pose, Stamp};
 
 /// A hold for a passing cause is not ended by `auto_resume` before this time (s).
@@ -44,6 +46,11 @@ pub struct ArmController {
     pub(super) reset_switch: bool,
     pub(super) gripper_request: Option<GripperRequest>,
     pub(super) hold: Option<Hold>,
+    /// What the arm may run into, besides the table.
+    pub(super) world: Option<Arc<CollisionWorld>>,
+    /// Newest knuckle angle (rad); closed until it is known.
+    pub(super) knuckle: f64,
+    pub(super) planned: PlannedPath,
     held_since: Stamp,
     pub(super) commanded: Option<Commanded>,
     refused: Option<(Stamp, String)>,
@@ -96,6 +103,9 @@ impl ArmController {
             reset_switch: false,
             gripper_request: None,
             hold,
+            world: None,
+            knuckle: KNUCKLE_CLOSED,
+            planned: PlannedPath::default(),
             held_since: Stamp::default(),
             commanded: None,
             refused: None,
@@ -103,6 +113,14 @@ impl ArmController {
             ticks: 0,
             last: None,
         })
+    }
+
+    /// The same arm among what it may run into: every path is checked against it, and the way home leads
+    /// around it.
+    #[must_use]
+    pub fn with_world(mut self, world: CollisionWorld) -> Self {
+        self.world = Some(Arc::new(world));
+        self
     }
 
     /// The parameters in use.
@@ -136,6 +154,9 @@ impl ArmController {
         }
         if let Some(c) = &mut self.commanded {
             c.elapsed += dt;
+        }
+        if let Some(g) = input.gripper {
+            self.knuckle = g.knuckle;
         }
         let joints = input.joints.filter(|j| self.joints_usable(j, now));
         if let (true, Some(j)) = (self.commanded.is_none() || self.params.dry_run, &joints) {
@@ -300,6 +321,7 @@ impl ArmController {
         }
         let start = self.commanded_state()?;
         let (k, p) = (&self.kinematics, &self.params);
+        let around = Around { world: self.world.as_deref(), knuckle: self.knuckle };
         let result = match motion {
             Motion::Rest => {
                 self.refused = None;
@@ -311,18 +333,22 @@ impl ArmController {
                     let pose = self.follower.desired(now.plus(s), p).unwrap_or(first);
                     lift(&pose, k, p)
                 };
-                project(k, p, &start, &Target::Tool(&tool))
+                project(k, p, &around, &start, &Target::Tool(&tool))
             }
             Motion::Script(Script::Line { from, to, duration, t }) => {
                 let tool = |s: f64| tdv_geometry::min_jerk(&from, &to, (t + s) / duration);
-                project(k, p, &start, &Target::Tool(&tool))
+                project(k, p, &around, &start, &Target::Tool(&tool))
+            }
+            Motion::Script(Script::Planned { to, t, .. }) => {
+                let joints = |s: f64| self.planned.at(t + s).unwrap_or(to);
+                project(k, p, &around, &start, &Target::Joints(&joints))
             }
             Motion::Script(Script::Joints { from, to, duration, t }) => {
                 let joints = |s: f64| -> Joints {
                     let x = tdv_geometry::smooth_step((t + s) / duration);
                     std::array::from_fn(|i| from[i] + (to[i] - from[i]) * x)
                 };
-                project(k, p, &start, &Target::Joints(&joints))
+                project(k, p, &around, &start, &Target::Joints(&joints))
             }
         };
         match result {

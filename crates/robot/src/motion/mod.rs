@@ -7,6 +7,7 @@ mod hold;
 mod law;
 mod params;
 mod plan;
+mod planned;
 mod projection;
 mod sequence;
 mod types;

@@ -3,7 +3,7 @@
 use super::law::{self, Gains, MotionState};
 use super::params::ControllerParams;
 use super::types::{JointPath, PathPoint};
-use crate::collision::{ClearanceError, check_clearance};
+use crate::collision::{ClearanceError, CollisionError, CollisionWorld, check_clearance};
 use crate::kinematics::{IkError, JOINT_NAMES, Joints, Kinematics};
 use tdv_geometry::{Pose, Stamp};
 use thiserror::Error;
@@ -34,6 +34,9 @@ pub enum Refusal {
     /// Something would be hit or left.
     #[error("{0}")]
     Clearance(#[from] ClearanceError),
+    /// The arm would run into a fixture or into itself.
+    #[error("{0}")]
+    Collision(#[from] CollisionError),
     /// A commanded joint would leave its range.
     #[error("{joint} would be at {value:.3} rad, its range is {lower:.3}..{upper:.3}")]
     JointRange {
@@ -137,6 +140,14 @@ impl Projection {
     }
 }
 
+/// What is about the arm.
+pub(super) struct Around<'a> {
+    /// Fixtures and the arm itself; none: the table only.
+    pub world: Option<&'a CollisionWorld>,
+    /// Knuckle angle (rad).
+    pub knuckle: f64,
+}
+
 /// Projects the law of motion from `start` toward `target` and checks what comes out.
 ///
 /// # Errors
@@ -144,6 +155,7 @@ impl Projection {
 pub(super) fn project(
     k: &Kinematics,
     p: &ControllerParams,
+    around: &Around,
     start: &MotionState,
     target: &Target,
 ) -> Result<Projection, Refusal> {
@@ -161,7 +173,7 @@ pub(super) fn project(
         states.push(s);
     }
     let out = Projection { states, tick: p.tick, stop_time: p.stop_time() };
-    check(k, p, &out)?;
+    check(k, p, around, &out)?;
     Ok(out)
 }
 
@@ -190,7 +202,12 @@ fn joint_targets(
     }
 }
 
-fn check(k: &Kinematics, p: &ControllerParams, path: &Projection) -> Result<(), Refusal> {
+fn check(
+    k: &Kinematics,
+    p: &ControllerParams,
+    around: &Around,
+    path: &Projection,
+) -> Result<(), Refusal> {
     let l = &p.limits;
     let stop = |x: f64| path.sample(path.law_time() + x * path.stop_time);
     let law = path.states.iter().skip(1).copied();
@@ -219,7 +236,14 @@ fn check(k: &Kinematics, p: &ControllerParams, path: &Projection) -> Result<(), 
             check_clearance(k, &s.q, l)?;
         }
     }
-    let condition = k.dexterity(&path.sample(path.duration()).q).condition;
+    let end = path.sample(path.duration()).q;
+    if let Some(world) = around.world {
+        // The stop from anywhere on the way lies near this one.
+        for q in [&path.sample(path.law_time()).q, &end] {
+            world.check(q, around.knuckle, None)?;
+        }
+    }
+    let condition = k.dexterity(&end).condition;
     let limit = l.singular_stop;
     if condition > limit && condition > k.dexterity(&path.states[0].q).condition {
         return Err(Refusal::Singular { condition, limit });

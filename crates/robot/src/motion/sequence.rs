@@ -2,11 +2,13 @@
 
 use super::controller::{ArmController, Motion};
 use super::hold::Cause;
+use super::planned::PlannedPath;
 use super::types::{
     ControllerInput, GripperFeedback, GripperRequest, ObjectPlace, ProcedureState, StatusCode,
 };
 use crate::gripper::gap_from_knuckle;
 use crate::kinematics::Joints;
+use crate::planner::{Goal, PlanError, PlanRequest, Planner, PlannerParams};
 use tdv_geometry::{Pose, Stamp, pose_distance};
 
 /// Peak speed of a minimum-jerk motion over its mean speed.
@@ -27,19 +29,23 @@ pub(super) enum Script {
     Line { from: Pose, to: Pose, duration: f64, t: f64 },
     /// Straight in joint space.
     Joints { from: Joints, to: Joints, duration: f64, t: f64 },
+    /// Along the planned path to `to`.
+    Planned { to: Joints, duration: f64, t: f64 },
 }
 
 impl Script {
     fn advance(&mut self, dt: f64) {
         match self {
-            Self::Line { t, .. } | Self::Joints { t, .. } => *t += dt,
+            Self::Line { t, .. } | Self::Joints { t, .. } | Self::Planned { t, .. } => *t += dt,
         }
     }
 
     /// Seconds past its end, negative before.
     fn over(&self) -> f64 {
         match self {
-            Self::Line { t, duration, .. } | Self::Joints { t, duration, .. } => t - duration,
+            Self::Line { t, duration, .. }
+            | Self::Joints { t, duration, .. }
+            | Self::Planned { t, duration, .. } => t - duration,
         }
     }
 }
@@ -321,12 +327,18 @@ impl ArmController {
 
     fn go_home(&mut self, now: Stamp, dt: f64, script: Option<Script>) -> Motion {
         let Some(state) = self.commanded_state() else { return Motion::Rest };
-        let p = &self.params;
-        let mut script = script.unwrap_or_else(|| {
-            let far = (0..6).map(|i| (p.home[i] - state.q[i]).abs()).fold(0.0, f64::max);
-            let duration = (PEAK * far / p.home_speed).max(LEAST_DURATION);
-            Script::Joints { from: state.q, to: p.home, duration, t: -dt }
-        });
+        let mut script = match script {
+            Some(script) => script,
+            // Planning takes its time: the arm rests meanwhile.
+            None if self.rested() < 0.0 => return Motion::Rest,
+            None => match self.way_home(&state.q, dt) {
+                Ok(script) => script,
+                Err(e) => {
+                    self.hold(now, Cause::Refused, format!("no way home: {e}"));
+                    return Motion::Rest;
+                }
+            },
+        };
         script.advance(dt);
         self.phase = Phase::Homing { script: Some(script) };
         if self.arrived(&script) {
@@ -337,6 +349,29 @@ impl ArmController {
         Motion::Script(script)
     }
 
+    /// A free path where the surroundings are known, else the straight joint line.
+    fn way_home(&mut self, from: &Joints, dt: f64) -> Result<Script, PlanError> {
+        let (to, t) = (self.params.home, -dt);
+        let Some(world) = self.world.clone() else {
+            let far = (0..6).map(|i| (to[i] - from[i]).abs()).fold(0.0, f64::max);
+            let duration = (PEAK * far / self.params.home_speed).max(LEAST_DURATION);
+            return Ok(Script::Joints { from: *from, to, duration, t });
+        };
+        let mut limits = self.params.limits.clone();
+        limits.joint_velocity = self.params.home_speed;
+        let planner = Planner {
+            kinematics: &self.kinematics,
+            world: &world,
+            limits: &limits,
+            params: PlannerParams::default(),
+        };
+        let goal = Goal::Joints(vec![to]);
+        let request = PlanRequest { start: *from, goal, knuckle: self.knuckle, held: None };
+        let motion = planner.plan(&request, &mut || false)?;
+        self.planned = PlannedPath::new(*from, &motion.trajectory);
+        Ok(Script::Planned { to, duration: self.planned.duration(), t })
+    }
+
     fn arrived(&self, script: &Script) -> bool {
         let Some(s) = self.commanded_state() else { return false };
         let near = match script {
@@ -344,7 +379,9 @@ impl ArmController {
                 let (d, a) = pose_distance(&self.kinematics.fk_tcp(&s.q), to);
                 d < 0.003 && a < 0.02
             }
-            Script::Joints { to, .. } => (0..6).all(|i| (to[i] - s.q[i]).abs() < 0.003),
+            Script::Joints { to, .. } | Script::Planned { to, .. } => {
+                (0..6).all(|i| (to[i] - s.q[i]).abs() < 0.003)
+            }
         };
         near && script.over() > 0.0 && s.qd.iter().all(|v| v.abs() < 0.02)
     }

@@ -83,7 +83,7 @@ pub struct TrialOutcome {
     pub bag: Option<Recording>,
     /// The true joints at 125 Hz.
     pub motion: Vec<JointState>,
-    /// Predictions and when they came.
+    /// Predictions that came while the controller followed them, and when.
     pub predictions: Vec<(Stamp, PoseTrajectory)>,
     /// Pose of the held object in the gripper, `T_tcp_object`, by the tracker's stamps.
     pub attachments: Vec<(Stamp, Pose)>,
@@ -139,6 +139,8 @@ struct Watch {
     images: Option<Inbox<Image>>,
     /// Since when the controller says that the task is done.
     done: Option<Instant>,
+    /// The controller follows the predictions.
+    following: bool,
     /// When the true joints last moved.
     moved: Instant,
 }
@@ -166,6 +168,7 @@ impl Watch {
                 .then(|| node.newest("/camera/camera/color/image_raw", Qos::sensor_data()))
                 .transpose()?,
             done: None,
+            following: false,
             moved: Instant::now(),
         })
     }
@@ -340,7 +343,9 @@ fn collect(
     while let Some(m) = watch.plans.try_recv() {
         if !m.poses.is_empty() {
             stages.plan(tracked::stamp(&m.header), now);
-            outcome.predictions.push((clock, m));
+            if watch.following {
+                outcome.predictions.push((clock, m));
+            }
         }
     }
     while watch.commands.try_recv().is_some() {
@@ -348,6 +353,7 @@ fn collect(
     }
     while let Some(m) = watch.status.try_recv() {
         watch.done = if m.done { watch.done.or(Some(now)) } else { None };
+        watch.following = m.code == ControllerStatus::FOLLOWING;
         if let Some(fault) = fault {
             fault.held(m.object_held);
             fault.sentence("arm_controller", &m.sentence);
