@@ -7,7 +7,7 @@
 
 Every solution of either side must be a solution of the other within 1e-9 rad (modulo whole turns).
 A pose where they differ is excused only near a singularity, where an angle is worth fewer digits
-than that: the allowance is 1e-15 / s^2 for s the smallest of |sin q5|, |sin q3| and the relative
+than that: the allowance is 1e-15 / s for s the smallest of |sin q5|, |sin q3| and the relative
 distance of the wrist centre from the cylinder about the base axis. Without the package the check is
 skipped with exit code 77; a disagreement exits with 1.
 """
@@ -64,7 +64,7 @@ def run(program, name, arm, count):
             worst = max(worst, gap)
             continue
         near = singularity(name, pose, ours) if len(ours) else 0.0
-        if gap <= 1e-15 / max(near, 1e-300) ** 2:
+        if gap <= 1e-15 / max(near, 1e-300):
             excused += 1
             kind = "excused"
         else:

@@ -138,7 +138,7 @@ impl ConvexPart {
             .points()
             .iter()
             .fold((DVec3::MAX, DVec3::MIN), |(lo, hi), p| (lo.min(*p), hi.max(*p)));
-        if !((hi - lo).min_element() > 1e-9) {
+        if (hi - lo).min_element() <= 1e-9 {
             return None;
         }
         let centre = 0.5 * (lo + hi);

@@ -370,7 +370,7 @@ fn a_decomposition_contains_the_mesh_and_leaves_its_hollow() {
     slab([-0.05, 0.04, 0.0], [0.05, 0.05, 0.1]);
     let id = super::convert::pose(&Pose::identity());
     let gap = |parts: &[ConvexPart], p: &Point3<f64>| {
-        let dot = ConvexPart::capsule((*p).coords.into(), (*p).coords.into(), 1e-6).unwrap();
+        let dot = ConvexPart::capsule(p.coords.into(), p.coords.into(), 1e-6).unwrap();
         parts
             .iter()
             .map(|s| distance((s, &s.place(&id)), (&dot, &dot.place(&id)), 10.0))

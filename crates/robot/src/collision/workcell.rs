@@ -133,8 +133,11 @@ impl Workcell {
     }
 }
 
-/// Vertices and triangles of a Wavefront OBJ text; faces of more corners become fans.
-fn obj(text: &str) -> Result<(Vec<Point3<f64>>, Vec<[u32; 3]>), String> {
+/// Vertices and triangles.
+type Mesh = (Vec<Point3<f64>>, Vec<[u32; 3]>);
+
+/// A Wavefront OBJ text; faces of more corners become fans.
+fn obj(text: &str) -> Result<Mesh, String> {
     let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
     for (n, line) in text.lines().enumerate() {
         let bad = || format!("line {}: {line:?} is not a vertex or face", n + 1);

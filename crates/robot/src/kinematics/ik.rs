@@ -217,7 +217,7 @@ fn planar(
     let dh = plane.dh;
     let (x, y) = (plane.p5[0] - dh.d5 * axis[0], plane.p5[1] - dh.d5 * axis[1]);
     let mut c3 = (x * x + y * y - dh.a2 * dh.a2 - dh.a3 * dh.a3) / (2.0 * dh.a2 * dh.a3);
-    if !(c3.abs() <= 1.0 + ROUNDING) {
+    if c3.is_nan() || c3.abs() > 1.0 + ROUNDING {
         return false;
     }
     // Within `SAME` of stretched or folded the two elbow branches are one solution.

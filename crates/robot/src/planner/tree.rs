@@ -109,7 +109,7 @@ impl<'a> Search<'a> {
             if expired() {
                 return Err(PlanError::TimedOut { iterations: self.iterations });
             }
-            let forward = self.iterations % 2 == 0;
+            let forward = self.iterations.is_multiple_of(2);
             self.iterations += 1;
             let sample = self.sample(rng);
             let (a, b) = if forward {
