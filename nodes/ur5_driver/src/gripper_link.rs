@@ -248,14 +248,15 @@ mod tests {
                 far.write_all(&reply).unwrap();
                 requests.push(request);
             }
-            requests
+            // The line stays open: a closed one takes what waits in it along.
+            (requests, far)
         });
         let m = Move { number: 7, position: 0, speed: 255, force: 255 };
         link.order(&m).unwrap();
         let state = link.state(7).unwrap();
         assert_eq!((state.position, state.requested, state.request), (0xBD, 0xFF, 7));
         assert_eq!(state.object, ObjectStatus::ContactClosing);
-        let requests = gripper.join().unwrap();
+        let (requests, _far) = gripper.join().unwrap();
         // The manual's frame that opens the gripper.
         let open = [9, 0x10, 3, 0xE8, 0, 3, 6, 9, 0, 0, 0, 0xFF, 0xFF, 0x72, 0x19];
         assert_eq!(requests[0], open);
