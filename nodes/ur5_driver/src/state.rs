@@ -179,6 +179,8 @@ mod tests {
     use tdv_robot::{GoalCode, JOINT_NAMES, Limits, TrajectoryPoint};
     use tdv_ur_protocol::rtde::{Value, output_field};
 
+    const CLOCK: Stamp = Stamp(1_000_000_000);
+
     fn running() -> ArmState {
         let values: Vec<Value> =
             OUTPUTS.iter().map(|n| Value::zero(output_field(n).unwrap())).collect();
@@ -210,14 +212,14 @@ mod tests {
         let now = Stamp::from_secs(1.0);
         assert_eq!(s.follow(&to(0.05), now), Err(MotionRefusal::NoState));
         let mut arm = running();
-        assert_eq!(s.step(&arm, true), (Order::Idle, None));
+        assert_eq!(s.step(&arm, true, CLOCK), (Order::Idle, None));
         s.follow(&to(0.05), now).unwrap();
-        assert!(matches!(s.step(&arm, true).0, Order::Servo(_)));
+        assert!(matches!(s.step(&arm, true, CLOCK).0, Order::Servo(_)));
         for (followed, safety) in [(false, 1), (true, 3)] {
             arm.safety_mode = safety;
-            assert_eq!(s.step(&arm, followed).0, Order::Idle);
+            assert_eq!(s.step(&arm, followed, CLOCK).0, Order::Idle);
             arm.safety_mode = 1;
-            assert_eq!(s.step(&arm, true).0, Order::Idle, "nothing comes back");
+            assert_eq!(s.step(&arm, true, CLOCK).0, Order::Idle, "nothing comes back");
         }
     }
 
@@ -225,13 +227,13 @@ mod tests {
     fn a_goals_end_reaches_its_waiter() {
         let s = shared(false);
         let arm = running();
-        s.step(&arm, true);
+        s.step(&arm, true, CLOCK);
         let now = Stamp::from_secs(1.0);
         let (_, mut end) = s.follow_goal(&to(0.05), GoalTolerances::default(), now).unwrap();
         assert!(end.try_recv().is_err());
-        s.step(&arm, false);
+        s.step(&arm, false, CLOCK);
         assert_eq!(end.try_recv().unwrap().code, GoalCode::InvalidGoal);
-        s.step(&arm, true);
+        s.step(&arm, true, CLOCK);
         let (_, mut end) = s.follow_goal(&to(0.05), GoalTolerances::default(), now).unwrap();
         s.forget();
         assert!(matches!(end.try_recv(), Err(oneshot::error::TryRecvError::Closed)));
@@ -241,13 +243,13 @@ mod tests {
     fn control_is_handed_back_until_the_program_has_ended() {
         let s = shared(false);
         let arm = running();
-        s.step(&arm, true);
+        s.step(&arm, true, CLOCK);
         s.follow(&to(0.05), Stamp::from_secs(1.0)).unwrap();
         s.hand_back();
-        assert_eq!(s.step(&arm, true).0, Order::Stop);
-        assert_eq!(s.step(&arm, true).0, Order::Stop);
-        assert_eq!(s.step(&arm, false).0, Order::Idle);
-        assert_eq!(s.step(&arm, true).0, Order::Idle);
+        assert_eq!(s.step(&arm, true, CLOCK).0, Order::Stop);
+        assert_eq!(s.step(&arm, true, CLOCK).0, Order::Stop);
+        assert_eq!(s.step(&arm, false, CLOCK).0, Order::Idle);
+        assert_eq!(s.step(&arm, true, CLOCK).0, Order::Idle);
     }
 
     #[test]
@@ -255,13 +257,13 @@ mod tests {
         let s = shared(true);
         let arm = running();
         let now = Stamp::from_secs(1.0);
-        s.step(&arm, true);
+        s.step(&arm, true, CLOCK);
         assert_eq!(s.follow(&to(0.05), now), Err(MotionRefusal::NotEnabled));
         s.switch(true);
-        s.step(&arm, true);
+        s.step(&arm, true, CLOCK);
         s.follow(&to(0.05), now).unwrap();
         s.switch(false);
-        s.step(&arm, true);
+        s.step(&arm, true, CLOCK);
         assert_eq!(s.follow(&to(0.05), now), Err(MotionRefusal::NotEnabled));
     }
 }
