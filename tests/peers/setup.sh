@@ -127,10 +127,14 @@ build() {
 interfaces=$repo/msgs/interfaces
 make_package "$interfaces/tf2_msgs" tf2_msgs geometry_msgs
 make_package "$interfaces/vision_msgs" vision_msgs std_msgs geometry_msgs
-make_package "$interfaces/ur_dashboard_msgs" ur_dashboard_msgs
+make_package "$interfaces/ur_dashboard_msgs" ur_dashboard_msgs action_msgs builtin_interfaces
+make_package "$interfaces/ur_msgs" ur_msgs builtin_interfaces geometry_msgs
+make_package "$interfaces/controller_manager_msgs" controller_manager_msgs builtin_interfaces
 make_package "$interfaces/control_msgs" control_msgs \
   action_msgs builtin_interfaces sensor_msgs std_msgs trajectory_msgs
-for name in tf2_msgs vision_msgs ur_dashboard_msgs control_msgs; do build "$dir/src/$name"; done
+for name in tf2_msgs vision_msgs ur_dashboard_msgs ur_msgs controller_manager_msgs control_msgs; do
+  build "$dir/src/$name"
+done
 build "$repo/msgs/tdv_msgs"
 
 (

@@ -1,101 +1,190 @@
 //! What the threads of the driver share.
 
+use crate::arm_state::ArmState;
+use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 use tdv_geometry::Stamp;
+use tdv_robot::executor::Follow;
 use tdv_robot::{
-    Desired, ExecutorParams, JointTrajectory, JointTrajectoryExecutor, Joints, Limits, TargetGuard,
-    TrajectoryRejection,
+    GoalEndReport, GoalTolerances, JointTrajectory, Joints, Motion, MotionController, MotionParams,
+    MotionRefusal, RobotInput,
 };
+use tdv_ur_protocol::servo::ProgramState;
+use tokio::sync::oneshot;
 
-/// The commanding side: accepted trajectory, last check, and whether the robot may be commanded.
-pub struct Commands {
-    executor: JointTrajectoryExecutor,
-    guard: TargetGuard,
-    measured: Option<Joints>,
-    /// Set by a refused target; cleared by the next accepted trajectory.
-    fault: Option<String>,
+/// An enabling switch that was not heard of for this long counts as released.
+const SWITCH_SILENT: Duration = Duration::from_millis(500);
+
+struct Inner {
+    motion: Motion,
+    waiting: BTreeMap<u64, oneshot::Sender<GoalEndReport>>,
+    /// When the enabling switch was last seen held; `None` while it is released.
+    held: Option<Instant>,
+    switch_required: bool,
+    arm: Option<(ArmState, bool)>,
+    /// The servo program is to end.
+    hand_back: bool,
+}
+
+/// What goes to the robot in one cycle.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Order {
+    /// Rest.
+    Idle,
+    /// Joint targets, rad.
+    Servo(Joints),
+    /// The program is to end.
+    Stop,
 }
 
 /// Shared between the ROS tasks and the RTDE thread.
-pub struct Shared(Mutex<Commands>);
+pub struct Shared(Mutex<Inner>);
 
 impl Shared {
-    pub fn new(limits: &Limits) -> Self {
-        Self(Mutex::new(Commands {
-            executor: JointTrajectoryExecutor::new(ExecutorParams {
-                lower: limits.joint_lower,
-                upper: limits.joint_upper,
-                ..Default::default()
-            }),
-            guard: TargetGuard::new(limits),
-            measured: None,
-            fault: None,
+    pub fn new(params: MotionParams, switch_required: bool) -> Self {
+        Self(Mutex::new(Inner {
+            motion: Motion::new(params),
+            waiting: BTreeMap::new(),
+            held: None,
+            switch_required,
+            arm: None,
+            hand_back: false,
         }))
     }
 
-    fn lock(&self) -> MutexGuard<'_, Commands> {
+    fn lock(&self) -> MutexGuard<'_, Inner> {
         // Each change below is complete before the lock is released.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A trajectory from the topic; refused before the first measured state.
-    pub fn accept(&self, trajectory: &JointTrajectory, now: Stamp) -> Result<(), String> {
-        let mut c = self.lock();
-        let Some(measured) = c.measured else {
-            return Err("no state of the robot yet".into());
-        };
-        let current = Desired { q: measured, qd: [0.0; 6] };
-        c.executor
-            .accept(trajectory, now, &current)
-            .map_err(|e: TrajectoryRejection| e.to_string())?;
-        c.fault = None;
-        Ok(())
-    }
-
-    /// The joint target for now, or why there is none. While the robot `may_move` not (stopped, paused,
-    /// no program) what was commanded is forgotten: it must not come back when the robot may again.
-    pub fn target(
-        &self,
-        now: Stamp,
-        measured: Joints,
-        may_move: bool,
-    ) -> Result<Option<Joints>, String> {
-        let mut c = self.lock();
-        c.measured = Some(measured);
-        if !may_move {
-            c.executor.clear();
-            c.guard.reset();
-            return Ok(None);
-        }
-        if let Some(fault) = &c.fault {
-            return Err(fault.clone());
-        }
-        let Some(desired) = c.executor.sample(now) else { return Ok(None) };
-        match c.guard.check(now, &desired.q, &measured) {
-            Ok(()) => Ok(Some(desired.q)),
-            Err(error) => {
-                // Stop where the arm is: the program on the controller decelerates by itself.
-                c.executor.clear();
-                c.guard.reset();
-                c.fault = Some(error.to_string());
-                Err(error.to_string())
+    /// One state of the robot in; the order for it and a fault that was just found out. `followed`: a
+    /// program of ours runs on the robot.
+    pub fn step(&self, state: &ArmState, followed: bool) -> (Order, Option<String>) {
+        let mut guard = self.lock();
+        let c = &mut *guard;
+        c.hand_back &= followed;
+        let held = c.held.is_some_and(|at| at.elapsed() < SWITCH_SILENT);
+        let out = c.motion.step(&RobotInput {
+            time: state.time,
+            q: state.q,
+            qd: state.qd,
+            may_move: followed && state.is_safe() && !c.hand_back,
+            watchdog: state.program == Some(ProgramState::WatchdogStop),
+            factor: state.factor(),
+            enabled: held || !c.switch_required,
+        });
+        c.arm = Some((state.clone(), followed));
+        for end in out.ended {
+            if let Some(waiting) = c.waiting.remove(&end.id) {
+                // A client that has gone needs no result.
+                let _ = waiting.send(end);
             }
         }
+        let order = match out.target {
+            _ if c.hand_back => Order::Stop,
+            Some(target) => Order::Servo(target),
+            None => Order::Idle,
+        };
+        (order, out.fault)
     }
 
-    /// The connection was lost: the next motion starts from the measured state.
+    /// Ends the servo program, so that the program on the pendant goes on.
+    pub fn hand_back(&self) {
+        self.lock().hand_back = true;
+    }
+
+    /// The last state of the robot and whether our program follows; none without a connection.
+    pub fn arm(&self) -> Option<(ArmState, bool)> {
+        self.lock().arm.clone()
+    }
+
+    /// Desired and measured joints.
+    pub fn follow_state(&self) -> Option<Follow> {
+        self.lock().motion.state()
+    }
+
+    pub fn fault(&self) -> Option<String> {
+        self.lock().motion.fault().map(str::to_owned)
+    }
+
+    pub fn controller(&self) -> Option<MotionController> {
+        self.lock().motion.controller()
+    }
+
+    pub fn select(&self, controller: Option<MotionController>) {
+        self.lock().motion.select(controller);
+    }
+
+    pub fn reset(&self) {
+        self.lock().motion.reset();
+    }
+
+    /// The enabling switch is held or released.
+    pub fn switch(&self, held: bool) {
+        self.lock().held = held.then(Instant::now);
+    }
+
+    pub fn follow(&self, t: &JointTrajectory, now: Stamp) -> Result<(), MotionRefusal> {
+        self.lock().motion.follow(t, now)
+    }
+
+    pub fn would_follow(&self, t: &JointTrajectory, now: Stamp) -> Result<(), MotionRefusal> {
+        self.lock().motion.would_follow(t, now)
+    }
+
+    /// Starts a goal; its end comes through the receiver.
+    pub fn follow_goal(
+        &self,
+        t: &JointTrajectory,
+        tolerances: GoalTolerances,
+        now: Stamp,
+    ) -> Result<(u64, oneshot::Receiver<GoalEndReport>), MotionRefusal> {
+        let mut c = self.lock();
+        let id = c.motion.follow_goal(t, tolerances, now)?;
+        let (sender, receiver) = oneshot::channel();
+        c.waiting.insert(id, sender);
+        Ok((id, receiver))
+    }
+
+    pub fn cancel(&self, id: u64) {
+        let mut c = self.lock();
+        c.waiting.remove(&id);
+        c.motion.cancel(id);
+    }
+
+    pub fn stream(&self, kind: MotionController, values: &[f64]) -> Result<(), MotionRefusal> {
+        let mut c = self.lock();
+        match kind {
+            MotionController::Velocity => c.motion.stream_velocity(values),
+            _ => c.motion.stream_position(values),
+        }
+    }
+
+    /// The connection was lost: the next motion starts from a new measured state.
     pub fn forget(&self) {
         let mut c = self.lock();
-        c.executor.clear();
-        c.guard.reset();
-        c.measured = None;
+        c.motion.forget();
+        c.arm = None;
+        // The next step would report these ends; without a robot there is none.
+        c.waiting.clear();
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tdv_robot::{JOINT_NAMES, TrajectoryPoint};
+    use crate::arm_state::OUTPUTS;
+    use tdv_robot::{GoalCode, JOINT_NAMES, Limits, TrajectoryPoint};
+    use tdv_ur_protocol::rtde::{Value, output_field};
+
+    fn running() -> ArmState {
+        let values: Vec<Value> =
+            OUTPUTS.iter().map(|n| Value::zero(output_field(n).unwrap())).collect();
+        let mut s = ArmState::from_values(&values).unwrap();
+        (s.robot_mode, s.safety_mode, s.speed_scaling, s.speed_fraction) = (7, 1, 1.0, 1.0);
+        s
+    }
 
     fn to(q: f64) -> JointTrajectory {
         JointTrajectory {
@@ -110,28 +199,68 @@ mod tests {
         }
     }
 
+    fn shared(switch: bool) -> Shared {
+        Shared::new(MotionParams { limits: Limits::default(), following: 0.25 }, switch)
+    }
+
     #[test]
-    fn nothing_moves_before_the_first_state_or_after_a_jump() {
-        let shared = Shared::new(&Limits::default());
-        let t = Stamp::from_secs(1.0);
-        assert!(shared.accept(&to(0.05), t).is_err());
-        assert_eq!(shared.target(t, [0.0; 6], true), Ok(None));
-        shared.accept(&to(0.05), t).unwrap();
-        assert!(shared.target(t.plus(0.1), [0.0; 6], true).unwrap().is_some());
-        // 2 rad in 0.2 s is faster than any limit: refused, and it stays refused until told anew.
-        shared.accept(&to(2.0), t.plus(0.1)).unwrap();
-        assert!(
-            (0..30).any(|i| shared
-                .target(t.plus(0.1 + 0.008 * f64::from(i)), [0.0; 6], true)
-                .is_err())
-        );
-        assert!(shared.target(t.plus(1.0), [0.0; 6], true).is_err());
-        shared.accept(&to(0.01), t.plus(1.0)).unwrap();
-        assert!(shared.target(t.plus(1.01), [0.0; 6], true).unwrap().is_some());
-        // A stop forgets the target for good.
-        assert_eq!(shared.target(t.plus(1.02), [0.0; 6], false), Ok(None));
-        assert_eq!(shared.target(t.plus(1.03), [0.0; 6], true), Ok(None));
-        shared.forget();
-        assert!(shared.accept(&to(0.0), t.plus(2.0)).is_err());
+    fn only_a_running_program_on_a_safe_robot_gets_targets() {
+        let s = shared(false);
+        let now = Stamp::from_secs(1.0);
+        assert_eq!(s.follow(&to(0.05), now), Err(MotionRefusal::NoState));
+        let mut arm = running();
+        assert_eq!(s.step(&arm, true), (Order::Idle, None));
+        s.follow(&to(0.05), now).unwrap();
+        assert!(matches!(s.step(&arm, true).0, Order::Servo(_)));
+        for (followed, safety) in [(false, 1), (true, 3)] {
+            arm.safety_mode = safety;
+            assert_eq!(s.step(&arm, followed).0, Order::Idle);
+            arm.safety_mode = 1;
+            assert_eq!(s.step(&arm, true).0, Order::Idle, "nothing comes back");
+        }
+    }
+
+    #[test]
+    fn a_goals_end_reaches_its_waiter() {
+        let s = shared(false);
+        let arm = running();
+        s.step(&arm, true);
+        let now = Stamp::from_secs(1.0);
+        let (_, mut end) = s.follow_goal(&to(0.05), GoalTolerances::default(), now).unwrap();
+        assert!(end.try_recv().is_err());
+        s.step(&arm, false);
+        assert_eq!(end.try_recv().unwrap().code, GoalCode::InvalidGoal);
+        s.step(&arm, true);
+        let (_, mut end) = s.follow_goal(&to(0.05), GoalTolerances::default(), now).unwrap();
+        s.forget();
+        assert!(matches!(end.try_recv(), Err(oneshot::error::TryRecvError::Closed)));
+    }
+
+    #[test]
+    fn control_is_handed_back_until_the_program_has_ended() {
+        let s = shared(false);
+        let arm = running();
+        s.step(&arm, true);
+        s.follow(&to(0.05), Stamp::from_secs(1.0)).unwrap();
+        s.hand_back();
+        assert_eq!(s.step(&arm, true).0, Order::Stop);
+        assert_eq!(s.step(&arm, true).0, Order::Stop);
+        assert_eq!(s.step(&arm, false).0, Order::Idle);
+        assert_eq!(s.step(&arm, true).0, Order::Idle);
+    }
+
+    #[test]
+    fn the_switch_has_to_be_held_and_heard() {
+        let s = shared(true);
+        let arm = running();
+        let now = Stamp::from_secs(1.0);
+        s.step(&arm, true);
+        assert_eq!(s.follow(&to(0.05), now), Err(MotionRefusal::NotEnabled));
+        s.switch(true);
+        s.step(&arm, true);
+        s.follow(&to(0.05), now).unwrap();
+        s.switch(false);
+        s.step(&arm, true);
+        assert_eq!(s.follow(&to(0.05), now), Err(MotionRefusal::NotEnabled));
     }
 }

@@ -101,6 +101,16 @@ pub struct Follow {
     pub scale: f64,
 }
 
+impl Follow {
+    /// Desired less measured.
+    pub fn error(&self) -> Desired {
+        Desired {
+            q: std::array::from_fn(|i| self.desired.q[i] - self.actual.q[i]),
+            qd: std::array::from_fn(|i| self.desired.qd[i] - self.actual.qd[i]),
+        }
+    }
+}
+
 #[derive(Debug, Clone)]
 struct Goal {
     id: u64,
@@ -392,7 +402,10 @@ impl Motion {
     /// Decelerates from the present target to rest.
     fn rest(&mut self) {
         match self.desired {
-            Some(from) if self.executor.goal().is_some() || from.qd != [0.0; 6] => {
+            Some(mut from) if self.executor.goal().is_some() || from.qd != [0.0; 6] => {
+                // The executor's speeds are those of unstretched time.
+                let factor = self.scale.factor().max(0.05);
+                from.qd = from.qd.map(|v| v / factor);
                 self.executor.stop(self.time, &from, self.params.limits.stop_acceleration);
             }
             _ => {}

@@ -124,6 +124,21 @@ fn newer_goals_cancels_and_topics_take_over_without_a_jump() {
 }
 
 #[test]
+fn a_cancel_in_stretched_time_brakes_without_a_jerk() {
+    let mut b = Bench::new();
+    b.input.factor = 0.4;
+    b.run(100);
+    let id = b.motion.follow_goal(&to(0.5, 1.0), GoalTolerances::default(), NOW).unwrap();
+    let before = b.run(150);
+    b.motion.cancel(id);
+    let after = b.run(100);
+    let speed = |a: &Option<Joints>, b: &Option<Joints>| (b.unwrap()[0] - a.unwrap()[0]) / DT;
+    let (was, is) = (speed(&before[148], &before[149]), speed(&before[149], &after[0]));
+    assert!(was > 0.2 && (was - is).abs() < 0.12, "{was} {is}");
+    assert_eq!(after[98], after[99]);
+}
+
+#[test]
 fn the_slider_stretches_time_and_a_pause_is_not_caught_up() {
     let mut b = Bench::new();
     b.input.factor = 0.5;
