@@ -3,6 +3,8 @@
 
 use crate::{CONTROLLER, Call, Functions, Host, Limits, Machine, Program, Reply, Value};
 use proptest::prelude::*;
+use proptest::strategy::ValueTree;
+use proptest::test_runner::TestRunner;
 
 /// Texts to change: together they use every part of the language.
 const SEEDS: [&str; 5] = [
@@ -161,6 +163,102 @@ fn change(text: &str, kind: u8, at: usize, len: usize, word: &str) -> String {
     head.iter().chain(&cut).chain(tail).collect()
 }
 
+/// A seed with some changes.
+fn changed() -> impl Strategy<Value = String> {
+    let word = prop::sample::select(&WORDS[..]);
+    let changes = prop::collection::vec((any::<u8>(), any::<usize>(), any::<usize>(), word), 1..6);
+    (0..SEEDS.len(), changes).prop_map(|(seed, changes)| {
+        changes.iter().fold(SEEDS[seed].to_string(), |t, (kind, at, len, word)| {
+            change(&t, *kind, *at, *len, word)
+        })
+    })
+}
+
+/// Expressions and statements that may stand anywhere in a program.
+const EXPRESSIONS: [&str; 22] = [
+    "0",
+    "-1",
+    "2147483647",
+    "1e308",
+    "0.5",
+    "True",
+    "\"text\"",
+    "[1, 2, 3]",
+    "[[1, 2], [3, 4]]",
+    "[]",
+    "p[0, 0, 0, 0, 0, 3]",
+    "random()",
+    "struct(a = 1)",
+    "make_list(3, 0, 9)",
+    "make_list(99, [1, 2])",
+    "to_str([1, 2])",
+    "get_actual_joint_positions()",
+    "(1 - 1)",
+    "not True",
+    "inv([[1, 2], [3, 4]])",
+    "integer_to_binary_list(5)",
+    "zz",
+];
+const STATEMENTS: [&str; 20] = [
+    "sync()",
+    "sleep(0.01)",
+    "zz = 1",
+    "zz = [1, 2]",
+    "zz = [zz, zz]",
+    "zz = zz + zz",
+    "zz = zz * zz",
+    "zz[0] = zz",
+    "zz = str_cat(zz, zz)",
+    "zz = make_list(2, zz, 50)",
+    "zz.append(zz)",
+    "zz.extend(zz)",
+    "while True:\n zz = [1, [zz]]\nend",
+    "while random() < 0.9:\n zz = random()\nend",
+    "halt",
+    "return zz",
+    "enter_critical",
+    "exit_critical",
+    "movej(zz)",
+    "if random() < 0.5:\n kill 2\nelse:\n join 1\nend",
+];
+
+/// A seed with statements inserted and numbers exchanged, so that most of the results load.
+fn edited() -> impl Strategy<Value = String> {
+    let edit = (any::<bool>(), any::<usize>(), 0..EXPRESSIONS.len(), 0..STATEMENTS.len());
+    (0..SEEDS.len(), prop::collection::vec(edit, 1..8)).prop_map(|(seed, edits)| {
+        let mut lines: Vec<String> = SEEDS[seed].lines().map(Into::into).collect();
+        for (insert, place, expression, statement) in edits {
+            // Behind the first line, which opens the program.
+            let at = 1 + place % (lines.len() - 1);
+            let digit = lines[at].find(|c: char| c.is_ascii_digit());
+            match digit {
+                Some(digit) if !insert => {
+                    lines[at]
+                        .replace_range(digit..=digit, &format!(" {} ", EXPRESSIONS[expression]));
+                }
+                _ => lines.insert(at, STATEMENTS[statement].into()),
+            }
+        }
+        // Makes `zz` a variable of every program, and one that may hold anything at first.
+        lines.insert(1, "zz = None".into());
+        lines.join("\n")
+    })
+}
+
+/// Texts that are refused at once would test nothing of the machine.
+#[test]
+fn most_edited_programs_load() {
+    let mut runner = TestRunner::deterministic();
+    let functions = Functions::parse(CONTROLLER).unwrap();
+    let loaded = (0..500)
+        .filter(|_| {
+            let text = edited().new_tree(&mut runner).unwrap().current();
+            Program::load(&text, &functions, &Limits::default()).is_ok()
+        })
+        .count();
+    assert!(loaded > 250, "{loaded} of 500");
+}
+
 #[test]
 fn the_seeds_load() {
     let functions = Functions::parse(CONTROLLER).unwrap();
@@ -184,14 +282,12 @@ proptest! {
     }
 
     #[test]
-    fn changed_programs(
-        seed in 0..SEEDS.len(),
-        changes in prop::collection::vec(
-            (any::<u8>(), any::<usize>(), any::<usize>(), prop::sample::select(&WORDS[..])), 1..6),
-    ) {
-        let text = changes.iter().fold(SEEDS[seed].to_string(), |t, (kind, at, len, word)| {
-            change(&t, *kind, *at, *len, word)
-        });
+    fn changed_programs(text in changed()) {
+        run(&text);
+    }
+
+    #[test]
+    fn edited_programs(text in edited()) {
         run(&text);
     }
 }

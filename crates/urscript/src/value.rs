@@ -38,7 +38,9 @@ impl PartialEq for List {
 
 /// A shared struct value: members in their order.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Record(Arc<Measured<Vec<(Arc<str>, Value)>>>);
+pub struct Record(Arc<Measured<Members>>);
+
+type Members = Vec<(Arc<str>, Value)>;
 
 #[derive(Debug, Clone, PartialEq)]
 struct Measured<T> {

@@ -3,8 +3,10 @@
 //! Each cycle gives every thread one slice of time ("Thread scheduling" of the script manual). A
 //! thread runs until it uses its slice up: by `sync`, `sleep` or a host function that waits.
 
+mod place;
 mod step;
 mod thread;
+mod values;
 
 use crate::error::{ErrorKind, ScriptError};
 use crate::host::{Call, Host, ThreadId};
