@@ -8,7 +8,7 @@ use std::sync::Arc;
 use tdv_geometry::nalgebra::{Translation3, UnitQuaternion, Vector3};
 use tdv_geometry::{Pose, Stamp};
 use tdv_msgs::control_msgs::msg::JointTrajectoryControllerState;
-use tdv_msgs::geometry_msgs::msg::{PoseStamped, Vector3 as VectorMessage, WrenchStamped};
+use tdv_msgs::geometry_msgs::msg::{PoseStamped, Vector3 as VectorMessage, Wrench, WrenchStamped};
 use tdv_msgs::sensor_msgs::msg::JointState;
 use tdv_msgs::std_msgs::msg::{Bool, Float64};
 use tdv_msgs::tf2_msgs::msg::TFMessage;
@@ -92,17 +92,16 @@ impl Broadcast {
             pose: tracked::pose_message(&pose),
         });
         let [fx, fy, fz, tx, ty, tz] = s.tcp_force;
-        let mut wrench = WrenchStamped::default();
-        wrench.header = tracked::header_in(stamp, "tool0_controller");
-        wrench.wrench.force = VectorMessage { x: fx, y: fy, z: fz };
-        wrench.wrench.torque = VectorMessage { x: tx, y: ty, z: tz };
-        self.wrench.publish(wrench);
+        let force = VectorMessage { x: fx, y: fy, z: fz };
+        let torque = VectorMessage { x: tx, y: ty, z: tz };
+        let header = tracked::header_in(stamp, "tool0_controller");
+        self.wrench.publish(WrenchStamped { header, wrench: Wrench { force, torque } });
         // After a pause trajectories run slower than the robot would let them.
         let scale = self.shared.follow_state().map_or(1.0, |f| f.scale);
         self.speed_scaling.publish(Float64 { data: 100.0 * s.factor().min(scale) });
         self.modes(s.robot_mode, s.safety_mode, followed);
         self.inputs_outputs(s);
-        if self.count % SLOW == 0 {
+        if self.count.is_multiple_of(SLOW) {
             let mut transforms = vec![tracked::transform("base", "tool0_controller", stamp, &pose)];
             if let Some(d) = &self.description {
                 d.moving(&mut transforms, s, knuckle.unwrap_or(0.0), stamp);
@@ -132,7 +131,7 @@ impl Broadcast {
     }
 
     fn inputs_outputs(&mut self, s: &ArmState) {
-        let regular = self.count % SLOWEST == 0;
+        let regular = self.count.is_multiple_of(SLOWEST);
         let message = regular.then(|| io_states(s));
         let changed = self.last_io.as_ref().is_none_or(|last| {
             last.digital_in_states != digital(s.io.digital_in)
