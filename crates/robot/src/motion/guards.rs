@@ -71,7 +71,7 @@ impl ArmController {
         let error = |i: usize| (c.q[i] - j.q[i]).abs();
         let worst = (0..6).max_by(|a, b| error(*a).total_cmp(&error(*b))).unwrap_or(0);
         let (apart, name) = (error(worst), JOINT_NAMES[worst]);
-        let still = law::max_abs(&j.qd) < STILL && apart > 2.0 * self.params.reseed_threshold;
+        let still = law::max_abs(&j.qd) < STILL && apart > self.params.reseed_threshold;
         let since = if still { *self.stuck_since.get_or_insert(now) } else { now };
         if !still {
             self.stuck_since = None;
