@@ -318,9 +318,31 @@ impl Loop {
         if self.last_status.as_ref().is_none_or(|(_, last)| last.code != message.code) {
             tracing::info!("{:?}: {}", s.code, s.sentence);
         }
-        let level = if message.code >= 12 { Level::Warn } else { Level::Ok };
+        let level = if message.code >= ControllerStatus::PAUSED { Level::Warn } else { Level::Ok };
         self.node.diagnostics().level(level, s.sentence.clone());
         self.status.publish(message.clone());
         self.last_status = Some((now, message));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tdv_robot::motion::StatusCode;
+
+    #[test]
+    fn the_message_has_the_controllers_numbers() {
+        use ControllerStatus as M;
+        for (ours, theirs) in [
+            (StatusCode::WaitingForJoints, M::WAITING_FOR_JOINTS),
+            (StatusCode::Following, M::FOLLOWING),
+            (StatusCode::Retreating, M::RETREATING),
+            (StatusCode::Done, M::DONE),
+            (StatusCode::Paused, M::PAUSED),
+            (StatusCode::HoldStale, M::HOLD_STALE),
+            (StatusCode::HoldGripper, M::HOLD_GRIPPER),
+        ] {
+            assert_eq!(ours as u8, theirs, "{ours:?}");
+        }
     }
 }
