@@ -6,6 +6,7 @@ mod inputs;
 mod node;
 mod params;
 mod permissions;
+mod safety;
 
 fn main() -> std::process::ExitCode {
     tdv_runtime::run("arm_controller", node::control)

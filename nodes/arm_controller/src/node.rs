@@ -3,6 +3,7 @@ use crate::gripper::Gripper;
 use crate::inputs;
 use crate::params::{ArmParameters, Command};
 use crate::permissions::Permissions;
+use crate::safety::SafetyWatch;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -70,6 +71,10 @@ pub async fn control(node: Node, params: Params<ArmParameters>) -> anyhow::Resul
         let (manager, name) = (&p.controller_manager, p.motion_controller());
         let watch = ControllerWatch::new(&node, manager, name, granted, take.clone(), always)?;
         node.spawn("controller watch", watch.watch());
+    }
+    if p.require_program {
+        let watch = SafetyWatch::new(&node, permissions.clone(), p.unlock_protective_stop)?;
+        node.spawn("safety watch", watch.watch());
     }
     subscribe_robot(&node, &input)?;
     subscribe_task(&node, &p, &input)?;

@@ -40,6 +40,7 @@ pub struct ArmParameters {
     pub gripper_action: GripperAction,
     pub controller_manager: String,
     pub require_program: bool,
+    pub unlock_protective_stop: bool,
     pub enable_topic: String,
     pub enable_timeout: f64,
     pub stamp_trajectories: bool,
@@ -61,6 +62,7 @@ impl Default for ArmParameters {
             gripper_action: GripperAction::GripperCommand,
             controller_manager: "/controller_manager".into(),
             require_program: true,
+            unlock_protective_stop: false,
             enable_topic: String::new(),
             enable_timeout: 0.5,
             stamp_trajectories: true,
@@ -144,6 +146,9 @@ impl Parameters for ArmParameters {
             }
             "gripper_action" => "gripper_command or parallel_gripper_command, as the driver has it",
             "require_program" => "move only while robot_program_running is true",
+            "unlock_protective_stop" => {
+                "end a protective stop by itself after 5.5 s (set_mode); only for the lab"
+            }
             "grasp_offset" => {
                 "control experiment: shifts all reach plans by x, y, z (m, base_link)"
             }

@@ -6,6 +6,8 @@ use std::time::{Duration, Instant};
 /// Why the arm may not move yet, or any more.
 #[derive(Debug, Default)]
 struct State {
+    /// What the robot's safety system says against it.
+    safety: Option<String>,
     /// Whether the robot's program runs; none when that is not asked for.
     program: Option<bool>,
     /// The dead-man switch and when it last spoke; none when there is no such switch.
@@ -26,6 +28,7 @@ impl Permissions {
     /// With what is asked for not given yet.
     pub fn new(program: bool, switch: bool, controllers: bool, patience: Duration) -> Self {
         let state = State {
+            safety: None,
             program: program.then_some(false),
             switch: switch.then(|| (false, Instant::now())),
             controllers: controllers.then(|| "the controller manager has not answered yet".into()),
@@ -43,6 +46,11 @@ impl Permissions {
         self.with(|s| s.program = s.program.map(|_| runs));
     }
 
+    /// What the robot's safety system says against motion; none when nothing.
+    pub fn safety(&self, problem: Option<String>) {
+        self.with(|s| s.safety = problem);
+    }
+
     /// A word of the dead-man switch.
     pub fn switch(&self, pressed: bool) {
         self.with(|s| s.switch = Some((pressed, Instant::now())));
@@ -56,6 +64,10 @@ impl Permissions {
     /// Why the arm may not move; none when it may.
     pub fn refusal(&self) -> Option<String> {
         self.with(|s| {
+            // First: it is the reason why the program does not run.
+            if let Some(safety) = &s.safety {
+                return Some(safety.clone());
+            }
             if s.program == Some(false) {
                 return Some("the robot's program does not run".into());
             }
@@ -79,6 +91,9 @@ mod tests {
     fn everything_asked_for_has_to_agree() {
         let p = Permissions::new(true, true, true, Duration::from_millis(20));
         assert!(p.refusal().unwrap().contains("program"));
+        p.safety(Some("protective stop".into()));
+        assert!(p.refusal().unwrap().contains("protective"));
+        p.safety(None);
         p.program(true);
         assert!(p.refusal().unwrap().contains("not pressed"));
         p.switch(true);

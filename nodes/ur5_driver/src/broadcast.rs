@@ -18,6 +18,7 @@ use tdv_msgs::ur_msgs::msg::{Analog, Digital, IOStates, ToolDataMsg};
 use tdv_robot::gripper::{KNUCKLE_JOINT, knuckle_from_register};
 use tdv_robot::{Desired, JOINT_NAMES};
 use tdv_runtime::{Node, Publisher, Qos, RuntimeError, tracked};
+use tdv_ur_protocol::dashboard::safety_mode_name;
 use tokio::sync::watch;
 
 /// Every how manyth state goes out on what people look at rather than controllers.
@@ -123,6 +124,9 @@ impl Broadcast {
             self.robot_mode.publish(RobotMode { mode: robot as i8 });
         }
         if before.is_none_or(|b| b.1 != safety) {
+            if before.is_some() {
+                tracing::warn!("safety mode {}", safety_mode_name(safety));
+            }
             self.safety_mode.publish(SafetyMode { mode: safety as u8 });
         }
         if before.is_none_or(|b| b.2 != program) {
