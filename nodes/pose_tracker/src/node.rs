@@ -4,8 +4,8 @@ use anyhow::Context as _;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use tdv_demonstration::{Task, TaskKind};
-use tdv_geometry::Pose;
-use tdv_msgs::geometry_msgs::msg::PoseStamped;
+use tdv_geometry::{FrameError, FrameTree};
+use tdv_msgs::geometry_msgs::msg::{PoseStamped, TransformStamped};
 use tdv_msgs::std_srvs::srv::{Trigger, TriggerResponse};
 use tdv_msgs::tdv_msgs::msg::{ControllerStatus, TrackedObjects};
 use tdv_msgs::tf2_msgs::msg::TFMessage;
@@ -17,7 +17,7 @@ use tdv_runtime::{Level, Node, Params, Publisher, Qos, tracked};
 
 struct State {
     objects: Objects,
-    camera: Option<Pose>,
+    frames: FrameTree,
     held: bool,
 }
 
@@ -65,11 +65,11 @@ pub async fn track(node: Node, params: Params<TrackerParameters>) -> anyhow::Res
     };
     let state = Arc::new(Mutex::new(State {
         objects: Objects::new(p.tracking.clone(), objects),
-        camera: None,
+        frames: FrameTree::default(),
         held: false,
     }));
     node.diagnostics().level(Level::Warn, format!("no transform to {} yet", p.camera_frame));
-    subscribe_inputs(&node, &state, &p.camera_frame)?;
+    subscribe_inputs(&node, &state)?;
     let shared = state.clone();
     node.service::<Trigger, _, _>("~/reset", move |_request| {
         with(&shared, |s| s.objects.reset(""));
@@ -87,27 +87,25 @@ fn with<T>(state: &Mutex<State>, f: impl FnOnce(&mut State) -> T) -> T {
     f(&mut state.lock().unwrap_or_else(PoisonError::into_inner))
 }
 
-fn subscribe_inputs(
-    node: &Node,
-    state: &Arc<Mutex<State>>,
-    camera_frame: &str,
-) -> anyhow::Result<()> {
+fn learn(frames: &mut FrameTree, t: &TransformStamped, fixed: bool) -> anyhow::Result<()> {
+    let (parent, child) = (&t.header.frame_id, &t.child_frame_id);
+    let pose = tracked::transform_pose(t).with_context(|| child.clone())?;
+    if fixed {
+        frames.fix(parent, child, pose)?;
+    } else {
+        frames.place(parent, child, tracked::stamp(&t.header), pose)?;
+    }
+    Ok(())
+}
+
+fn subscribe_inputs(node: &Node, state: &Arc<Mutex<State>>) -> anyhow::Result<()> {
     for (topic, qos) in [("/tf_static", Qos::latched_depth(10)), ("/tf", Qos::reliable(100))] {
-        let (shared, frame) = (state.clone(), camera_frame.to_owned());
+        let (shared, fixed) = (state.clone(), topic == "/tf_static");
         let diagnostics = node.diagnostics().clone();
         node.subscribe(topic, qos, move |message: TFMessage| {
-            for t in message.transforms.iter().filter(|t| t.child_frame_id == frame) {
-                if t.header.frame_id != "base_link" {
-                    let parent = &t.header.frame_id;
-                    diagnostics.level(
-                        Level::Error,
-                        format!("{frame} is given in {parent}; give it in base_link"),
-                    );
-                    continue;
-                }
-                match tracked::transform_pose(t) {
-                    Ok(pose) => with(&shared, |s| s.camera = Some(pose)),
-                    Err(e) => diagnostics.level(Level::Error, format!("{topic}, {frame}: {e}")),
+            for t in &message.transforms {
+                if let Err(why) = with(&shared, |s| learn(&mut s.frames, t, fixed)) {
+                    diagnostics.level(Level::Error, format!("{topic}: {why}"));
                 }
             }
         })?;
@@ -143,16 +141,21 @@ impl Outputs {
         }
         let stamp = tracked::stamp(&message.header);
         let output = with(state, |s| {
-            let camera = s.camera?;
-            Some(s.objects.step(&ObjectsInput {
+            let t_base_camera = s.frames.lookup("base_link", &self.camera_frame, stamp)?;
+            Ok::<_, FrameError>(s.objects.step(&ObjectsInput {
                 stamp,
                 detections: &detections,
                 table,
-                t_base_camera: camera,
+                t_base_camera,
                 object_held: s.held,
             }))
         });
-        let Some(output) = output else { return };
+        let output = match output {
+            Ok(output) => output,
+            Err(why) => {
+                return diagnostics.level(Level::Warn, format!("where is the camera? {why}"));
+            }
+        };
         self.objects.publish(messages::tracked_objects(&output, &self.reference));
         self.publish_frames(&output);
         diagnostics.latency("image_to_pose", self.node.now().since(stamp));

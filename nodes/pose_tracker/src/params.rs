@@ -48,7 +48,9 @@ impl Parameters for TrackerParameters {
             "task" => "task file: which objects there are, which moves, which is the reference",
             "objects" => "without a task: catalogue names, the first is the reference",
             "objects_dir" => "folder of the object catalogue (for symmetries)",
-            "camera_frame" => "frame of the detections; its pose comes from /tf_static or /tf",
+            "camera_frame" => {
+                "frame of the detections; its pose in base_link comes from /tf_static and /tf"
+            }
             _ => "",
         }
     }

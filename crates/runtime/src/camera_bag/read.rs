@@ -2,7 +2,7 @@ use crate::convert::{self, ConvertError};
 use crate::tracked;
 use std::path::Path;
 use tdv_bag::{BagError, BagReader, TopicInfo};
-use tdv_geometry::{Pose, Stamp};
+use tdv_geometry::{FrameTree, Pose, Stamp};
 use tdv_msgs::sensor_msgs::msg::{CameraInfo, CompressedImage, Image};
 use tdv_msgs::tf2_msgs::msg::TFMessage;
 use tdv_msgs::{CdrError, from_cdr_bytes};
@@ -25,6 +25,14 @@ pub enum CameraBagError {
     /// An image or intrinsics that cannot be used.
     #[error(transparent)]
     Convert(#[from] ConvertError),
+    /// Nobody knows where the camera is.
+    #[error("{bag}: where is the camera? /tf_static: {why}")]
+    Place {
+        /// The bag.
+        bag: String,
+        /// What is wrong with the frames.
+        why: String,
+    },
     /// Something is not in the bag.
     #[error("{bag} has no {what}; its topics are: {have}")]
     Missing {
@@ -109,18 +117,21 @@ impl CameraBag {
         let Some(m) = reader.next_message()? else { return Err(missing("camera_info message")) };
         let message: CameraInfo = decode(&info.name, &m.data)?;
         let intrinsics = convert::intrinsics_from_info(&info.name, &message)?;
+        let camera = message.header.frame_id;
+        let place = |why| CameraBagError::Place { bag: path.display().to_string(), why };
         reader.select(&[&tf.name], None)?;
-        let mut t_base_camera = None;
+        let mut frames = FrameTree::default();
         while let Some(m) = reader.next_message()? {
             let message: TFMessage = decode(&tf.name, &m.data)?;
             for t in &message.transforms {
-                if t.header.frame_id == "base_link" && t.child_frame_id.contains("optical") {
-                    t_base_camera = tracked::transform_pose(t).ok();
-                }
+                let pose = tracked::transform_pose(t).map_err(|e| place(e.to_string()))?;
+                frames
+                    .fix(&t.header.frame_id, &t.child_frame_id, pose)
+                    .map_err(|e| place(e.to_string()))?;
             }
         }
         let t_base_camera =
-            t_base_camera.ok_or_else(|| missing("transform from base_link to the camera"))?;
+            frames.lookup("base_link", &camera, Stamp(0)).map_err(|e| place(e.to_string()))?;
         reader.select(&[&color.name, &depth.name], None)?;
         Ok(Self {
             reader,
