@@ -86,6 +86,27 @@ class Pace:
         return max(self.period, self.process[key])
 
 
+class Load:
+    """The machine's load over all attempts at a rate; the least one counts."""
+
+    def __init__(self):
+        self.attempts = []
+
+    def beside(self, period, seconds):
+        """Paces to be measured beside an attempt."""
+        self.attempts.append(Pace(FINE, seconds))
+        return Pace(period, seconds)
+
+    def check(self, name, good, detail):
+        """A rate that was not reached is a failure only if the machine had time for it."""
+        least = min(pace.of("mean") for pace in self.attempts) / FINE
+        if good or least <= BUSY:
+            check(name, good, detail)
+        else:
+            print(f"skip {name}: the machine is too busy to tell, a loop of 2 ms without a robot takes "
+                  f"{least:.1f} times as long; {detail}", flush=True)
+
+
 def moves(lab, control, receive):
     q = receive.getActualQ()
     check("the pose at the start is read", near(q, lab.truth()["q"]))
@@ -132,6 +153,8 @@ def computes(lab, control, receive):
 
 # A rate is tried this often: load comes and goes, a robot that is too slow stays so.
 ATTEMPTS = 4
+# A machine on which a loop of 2 ms without a robot takes longer by this factor is too busy to tell.
+BUSY, FINE = 1.15, 0.002
 
 
 def ramp(control, receive, period, ticks, speed):
@@ -152,10 +175,10 @@ def ramp(control, receive, period, ticks, speed):
 
 
 def servo(lab, control, receive, period):
-    ticks, speed = 1000, 0.15
+    ticks, speed, load = 1000, 0.15, Load()
     for _ in range(ATTEMPTS):
         # A loop without a robot, at the same time on the same machine, says what is possible now.
-        pace = Pace(period, ticks * period)
+        pace = load.beside(period, ticks * period)
         followed = ramp(control, receive, period, ticks, speed)
         if followed is None:
             return
@@ -165,8 +188,8 @@ def servo(lab, control, receive, period):
         if took < 1.3 * possible:
             break
         speed = -speed
-    check("1,000 servoJ at rate", took < 1.3 * possible,
-          f"{took:.2f} s, ideal {ticks * period:.2f} s, without a robot {possible:.2f} s")
+    load.check("1,000 servoJ at rate", took < 1.3 * possible,
+               f"{took:.2f} s, ideal {ticks * period:.2f} s, without a robot {possible:.2f} s")
     check("it follows", lag < 0.15 * 0.15, f"at most {lag / 0.15 * 1e3:.0f} ms behind")
     check("servoStop", stopped)
     check("it rests near the last target", until(1.0, lambda: max(map(abs, lab.truth()["qd"])) < 1e-9)
@@ -174,15 +197,17 @@ def servo(lab, control, receive, period):
 
 
 def spacing(receive, period, seconds):
-    """Sorted steps (s) between the stamps that are seen when one looks five times a period."""
-    stamps = []
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
+    """Sorted steps (s) between the stamps that are seen when one looks five times a period, and the median
+    time (s) between two looks: where that is longer than a period, a stamp in between was ours to miss."""
+    stamps, looks = [], [time.monotonic()]
+    while looks[-1] < looks[0] + seconds:
         stamp = receive.getTimestamp()
         if not stamps or stamp != stamps[-1]:
             stamps.append(stamp)
         time.sleep(period / 5)
-    return sorted(b - a for a, b in zip(stamps, stamps[1:]))
+        looks.append(time.monotonic())
+    gaps = sorted(b - a for a, b in zip(looks, looks[1:]))
+    return sorted(b - a for a, b in zip(stamps, stamps[1:])), gaps[len(gaps) // 2]
 
 
 def fields(lab, receive, period, major):
@@ -197,16 +222,17 @@ def fields(lab, receive, period, major):
     lab.say("input 2 on")
     check("fields: digital input", until(1.0, lambda: receive.getDigitalInState(2)) and not receive.getDigitalInState(1))
     lab.say("input 2 off")
+    load = Load()
     for _ in range(ATTEMPTS):
-        pace = Pace(period, 1.0)
-        steps = spacing(receive, period, 1.0)
-        # Packages that come while one of us is not let run leave only the newest; none comes too early.
-        least, median, possible = steps[0], steps[len(steps) // 2], pace.of("step")
+        pace = load.beside(period, 1.0)
+        steps, looked = spacing(receive, period, 1.0)
+        # Packages that come while one of us is not let run leave only the newest.
+        median, possible = steps[len(steps) // 2], max(pace.of("step"), looked)
         if median < 1.3 * possible:
             break
-    check(f"packages each {period * 1e3:.0f} ms", least > 0.7 * period and median < 1.3 * possible,
-          f"least {least * 1e3:.1f} ms, median {median * 1e3:.1f} ms, without a robot "
-          f"{possible * 1e3:.1f} ms; {len(steps)} in 1 s")
+    check("no package comes too early", steps[0] > 0.7 * period, f"least {steps[0] * 1e3:.1f} ms")
+    load.check(f"packages each {period * 1e3:.0f} ms", median < 1.3 * possible,
+               f"median {median * 1e3:.1f} ms, without a robot {possible * 1e3:.1f} ms; {len(steps)} in 1 s")
 
 
 def lines(lab, io, receive):
