@@ -1,5 +1,5 @@
 //! The graph beside rclpy, our bags beside `rosbags`, the virtual controller and gripper under ur_rtde
-//! and pyrobotiqur.
+//! and pyrobotiqur, the driver's surface against the official driver's, its serial line beside robotiq2f.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -57,4 +57,19 @@ fn pyrobotiqur_opens_closes_and_feels_an_object() {
     let controller = program("examples/controller");
     let _machine = machine();
     passes("tests/peers/robotiq_peer.py", &[controller.to_str().unwrap()]);
+}
+
+#[test]
+fn our_driver_offers_what_the_official_one_does() {
+    let lab = program("virtual_lab");
+    program("ur5_driver");
+    let _machine = machine();
+    passes("tests/peers/driver_peer.py", &[lab.parent().unwrap().to_str().unwrap()]);
+}
+
+#[test]
+fn a_gripper_on_a_serial_line_obeys_robotiq2f_and_our_driver() {
+    let driver = program("ur5_driver");
+    let _machine = machine();
+    passes("tests/peers/modbus_peer.py", &[driver.to_str().unwrap()]);
 }

@@ -2,8 +2,8 @@
 """Our Modbus RTU against others over a pty: a slave with a 2F-85's registers is first driven by the
 Python package `robotiq2f` (which shows that the slave is right), then by ur5_driver.
 
-    python -m pip install robotiq2f
-    tests/peers/modbus_peer.py target/debug/ur5_driver
+    source DIR/env.sh            (see setup.sh)
+    tests/peers/netns.sh python tests/peers/modbus_peer.py target/debug/ur5_driver
 
 With rclpy at hand (see setup.sh) a goal is sent to the driver's gripper action too. One line a check;
 exit code 1 when one fails.

@@ -1,6 +1,6 @@
 #!/bin/bash
 # Sets up peers from PyPI wheels: ROS 2 Jazzy's rclpy, and the interface packages that no registry
-# offers, built from msgs/ into an overlay; ur_rtde and pyrobotiqur. Nothing needs root.
+# offers, built from msgs/ into an overlay; ur_rtde, pyrobotiqur and robotiq2f. Nothing needs root.
 #
 #   tests/peers/setup.sh DIR        makes DIR/venv, DIR/install and DIR/env.sh
 #   source DIR/env.sh               then python has rclpy and all message packages
@@ -33,6 +33,11 @@ fi
 if [ ! -e "$stamp/robot" ]; then
   "$venv/bin/pip" install -q "ur_rtde==1.6.5" "pyrobotiqur==0.2.2"
   touch "$stamp/robot"
+fi
+
+if [ ! -e "$stamp/modbus" ]; then
+  "$venv/bin/pip" install -q "robotiq2f==0.2.0"
+  touch "$stamp/modbus"
 fi
 
 if [ ! -e "$stamp/tools" ]; then
@@ -141,7 +146,8 @@ build "$repo/msgs/tdv_msgs"
   set +u
   # shellcheck disable=SC1091
   source "$dir/env.sh"
-  python -c 'import rtde_control, pyrobotiqur'
-  python -c 'import rclpy, tdv_msgs.msg, control_msgs.action, vision_msgs.msg, tf2_msgs.msg, ur_dashboard_msgs.msg'
+  python -c 'import rtde_control, pyrobotiqur, robotiq2f.robotiq2f'
+  python -c 'import rclpy, tdv_msgs.msg, control_msgs.action, vision_msgs.msg, tf2_msgs.msg, ur_dashboard_msgs.msg, \
+    ur_msgs.srv, controller_manager_msgs.srv'
 )
 echo "ready: source $dir/env.sh"

@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 from dashboard_client import DashboardClient
 from rtde_control import RTDEControlInterface
@@ -68,6 +69,44 @@ class Controller:
         return json.loads(self.process.stdout.readline())
 
 
+class Pace:
+    """The machine's own pace at a rate (pace.py), measured while something else is."""
+
+    def __init__(self, period, seconds):
+        script = Path(__file__).with_name("pace.py")
+        self.period = period
+        self.process = subprocess.Popen([sys.executable, script, str(period), str(seconds)],
+                                        text=True, stdout=subprocess.PIPE)
+
+    def of(self, key):
+        """Seconds of a tick, never less than the period."""
+        if isinstance(self.process, subprocess.Popen):
+            lines = self.process.communicate(timeout=60)[0].splitlines()
+            self.process = {k: v for line in lines for k, v in json.loads(line).items()}
+        return max(self.period, self.process[key])
+
+
+class Load:
+    """The machine's load over all attempts at a rate; the least one counts."""
+
+    def __init__(self):
+        self.attempts = []
+
+    def beside(self, period, seconds):
+        """Paces to be measured beside an attempt."""
+        self.attempts.append(Pace(FINE, seconds))
+        return Pace(period, seconds)
+
+    def check(self, name, good, detail):
+        """A rate that was not reached is a failure only if the machine had time for it."""
+        least = min(pace.of("mean") for pace in self.attempts) / FINE
+        if good or least <= BUSY:
+            check(name, good, detail)
+        else:
+            print(f"skip {name}: the machine is too busy to tell, a loop of 2 ms without a robot takes "
+                  f"{least:.1f} times as long; {detail}", flush=True)
+
+
 def moves(lab, control, receive):
     q = receive.getActualQ()
     check("the pose at the start is read", near(q, lab.truth()["q"]))
@@ -112,25 +151,63 @@ def computes(lab, control, receive):
     control.setTcp([0] * 6)
 
 
-def servo(lab, control, receive, period):
+# A rate is tried this often: load comes and goes, a robot that is too slow stays so.
+ATTEMPTS = 4
+# A machine on which a loop of 2 ms without a robot takes longer by this factor is too busy to tell.
+BUSY, FINE = 1.15, 0.002
+
+
+def ramp(control, receive, period, ticks, speed):
+    """Follows a ramp of the base; seconds that it took, the greatest lag (rad) and the last target."""
     q = receive.getActualQ()
-    q0 = q[0]
-    late, ticks, began = 0.0, 1000, time.monotonic()
+    q0, lag = q[0], 0.0
+    began = time.monotonic()
     for k in range(ticks):
         start = control.initPeriod()
-        q[0] = q0 + 0.15 * k * period
+        q[0] = q0 + speed * k * period
         if not control.servoJ(q, 0.0, 0.0, period, 0.03, 2000):
             check("servoJ", False, f"at {k}")
-            return
-        if k > 500:
-            late = max(late, q[0] - receive.getActualQ()[0])
+            return None
+        if k > ticks // 2:
+            lag = max(lag, abs(q[0] - receive.getActualQ()[0]))
         control.waitPeriod(start)
-    took = time.monotonic() - began
-    check("1,000 servoJ at rate", took < 2.5 * ticks * period, f"{took:.2f} s, ideal {ticks * period:.2f} s")
-    check("it follows", late < 0.15 * 0.15, f"at most {late / 0.15 * 1e3:.0f} ms behind")
-    check("servoStop", control.servoStop())
+    return time.monotonic() - began, lag, q[0]
+
+
+def servo(lab, control, receive, period):
+    ticks, speed, load = 1000, 0.15, Load()
+    for _ in range(ATTEMPTS):
+        # A loop without a robot, at the same time on the same machine, says what is possible now.
+        pace = load.beside(period, ticks * period)
+        followed = ramp(control, receive, period, ticks, speed)
+        if followed is None:
+            return
+        took, lag, last = followed
+        possible = ticks * pace.of("mean")
+        stopped = control.servoStop()
+        if took < 1.3 * possible:
+            break
+        speed = -speed
+    load.check("1,000 servoJ at rate", took < 1.3 * possible,
+               f"{took:.2f} s, ideal {ticks * period:.2f} s, without a robot {possible:.2f} s")
+    check("it follows", lag < 0.15 * 0.15, f"at most {lag / 0.15 * 1e3:.0f} ms behind")
+    check("servoStop", stopped)
     check("it rests near the last target", until(1.0, lambda: max(map(abs, lab.truth()["qd"])) < 1e-9)
-          and abs(lab.truth()["q"][0] - q[0]) < 0.02)
+          and abs(lab.truth()["q"][0] - last) < 0.02)
+
+
+def spacing(receive, period, seconds):
+    """Sorted steps (s) between the stamps that are seen when one looks five times a period, and the median
+    time (s) between two looks: where that is longer than a period, a stamp in between was ours to miss."""
+    stamps, looks = [], [time.monotonic()]
+    while looks[-1] < looks[0] + seconds:
+        stamp = receive.getTimestamp()
+        if not stamps or stamp != stamps[-1]:
+            stamps.append(stamp)
+        time.sleep(period / 5)
+        looks.append(time.monotonic())
+    gaps = sorted(b - a for a, b in zip(looks, looks[1:]))
+    return sorted(b - a for a, b in zip(stamps, stamps[1:])), gaps[len(gaps) // 2]
 
 
 def fields(lab, receive, period, major):
@@ -145,17 +222,17 @@ def fields(lab, receive, period, major):
     lab.say("input 2 on")
     check("fields: digital input", until(1.0, lambda: receive.getDigitalInState(2)) and not receive.getDigitalInState(1))
     lab.say("input 2 off")
-    stamps = []
-    end = time.monotonic() + 1.0
-    while time.monotonic() < end:
-        stamp = receive.getTimestamp()
-        if not stamps or stamp != stamps[-1]:
-            stamps.append(stamp)
-        time.sleep(period / 5)
-    steps = sorted(b - a for a, b in zip(stamps, stamps[1:]))
-    # A loaded machine leaves packages out (the newest counts), but never sends faster.
-    check(f"packages each {period * 1e3:.0f} ms", abs(steps[0] - period) < 0.3 * period,
-          f"median {steps[len(steps) // 2] * 1e3:.1f} ms, {len(stamps)} in 1 s")
+    load = Load()
+    for _ in range(ATTEMPTS):
+        pace = load.beside(period, 1.0)
+        steps, looked = spacing(receive, period, 1.0)
+        # Packages that come while one of us is not let run leave only the newest.
+        median, possible = steps[len(steps) // 2], max(pace.of("step"), looked)
+        if median < 1.3 * possible:
+            break
+    check("no package comes too early", steps[0] > 0.7 * period, f"least {steps[0] * 1e3:.1f} ms")
+    load.check(f"packages each {period * 1e3:.0f} ms", median < 1.3 * possible,
+               f"median {median * 1e3:.1f} ms, without a robot {possible * 1e3:.1f} ms; {len(steps)} in 1 s")
 
 
 def lines(lab, io, receive):
@@ -199,6 +276,18 @@ def killed_client(lab, watched):
         check("without a watchdog it would not", not rests)
 
 
+def unlock(lab, dashboard):
+    """Unlocks after the 5 s that the robot insists on; by its own clock, which a loaded machine delays."""
+    def again():
+        try:
+            dashboard.unlockProtectiveStop()
+        except RuntimeError:
+            time.sleep(0.2)
+        return lab.truth()["safety_mode"] == 1
+    time.sleep(5.1)
+    return until(15.0, again)
+
+
 def stops(lab, control, receive, dashboard, major):
     check("dashboard: version", dashboard.polyscopeVersion().split(" ")[-1] != "" and f"{major}." in dashboard.polyscopeVersion())
     check("dashboard: modes", "RUNNING" in dashboard.robotmode() and "NORMAL" in dashboard.safetymode())
@@ -212,9 +301,7 @@ def stops(lab, control, receive, dashboard, major):
     except Exception as reason:  # ur_rtde throws what it is answered
         print(f"     too early: {reason}")
     check("it cannot be unlocked at once", lab.truth()["safety_mode"] == 3)
-    time.sleep(5.1)
-    dashboard.unlockProtectiveStop()
-    check("after 5 s it can", until(1.0, lambda: lab.truth()["safety_mode"] == 1))
+    check("after 5 s it can", unlock(lab, dashboard))
     dashboard.stop()
     check("stop", until(1.0, lambda: lab.truth()["runtime_state"] == 1))
     check("the script is uploaded anew", control.reuploadScript() and until(2.0, control.isProgramRunning))
@@ -223,8 +310,7 @@ def stops(lab, control, receive, dashboard, major):
     check("and moves the arm", control.moveJ(q, 1.0, 2.0) and near(lab.truth()["q"], q))
     control.triggerProtectiveStop()
     check("a script can stop for protection too", until(1.0, lambda: lab.truth()["safety_mode"] == 3))
-    time.sleep(5.1)
-    dashboard.unlockProtectiveStop()
+    unlock(lab, dashboard)
     dashboard.stop()
     control.reuploadScript()
     lab.say("safety ROBOT_EMERGENCY_STOP")

@@ -128,7 +128,7 @@ pub struct RecordDemoArgs {
 pub enum EvalCommand {
     /// Trials of the whole live graph in the virtual lab, judged on its truth
     ClosedLoop(ClosedLoopArgs),
-    /// Seeded troubles for controller, driver and robot, in one process on simulated time
+    /// Seeded troubles for controller, driver and robot, in one process on simulated time or live
     Faults(FaultsArgs),
     /// Track an object of a recorded data set and compare with its reference poses
     Tracking(TrackingArgs),
@@ -142,6 +142,19 @@ pub struct FaultsArgs {
     /// Cases; each has its own seed
     #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..))]
     pub cases: u64,
+    /// Instead: so many cases [40] on the real graph over DDS; processes are killed, connections cut
+    #[arg(long, value_name = "CASES", num_args = 0..=1, default_missing_value = "40",
+        value_parser = clap::value_parser!(u64).range(1..), conflicts_with_all = ["cases", "scene"])]
+    pub live: Option<u64>,
+    /// Task file of the live cases
+    #[arg(long, default_value = "config/tasks/cup_on_coaster.yaml", requires = "live")]
+    pub task: PathBuf,
+    /// Model folder of the live cases [default: models/TASK]
+    #[arg(long, requires = "live")]
+    pub model: Option<PathBuf>,
+    /// Folder for the logs of the live cases
+    #[arg(long, default_value = "runs/faults", requires = "live")]
+    pub run: PathBuf,
     /// First seed
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -198,6 +211,9 @@ pub struct ClosedLoopArgs {
     /// Kill it while the arm carries the object, not on the way to it
     #[arg(long, requires = "kill")]
     pub kill_carrying: bool,
+    /// Controller of the lab: cb3 (125 Hz), e_series (500 Hz) [default: as the scene says]
+    #[arg(long, value_parser = ["cb3", "e_series"])]
+    pub controller: Option<String>,
     /// Launch file
     #[arg(long, default_value = "launch_scripts/closed_loop.launch.yaml")]
     pub launch_file: PathBuf,

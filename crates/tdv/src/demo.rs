@@ -30,6 +30,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<bool> {
         grasp_offset: 0.0,
         kill: None,
         kill_carrying: false,
+        controller: None,
         launch_file: "launch_scripts/closed_loop.launch.yaml".into(),
         run: args.run.clone(),
         pictures: true,

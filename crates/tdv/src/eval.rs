@@ -8,7 +8,7 @@ use tdv_evaluation::{ClosedLoopReport, Fault, StreamFigures, StreamStatistics, T
 use tdv_geometry::yaw_of;
 use tdv_robot::Kinematics;
 use tdv_runtime::record::Recording;
-use tdv_runtime::trial::{TrialOutcome, TrialSetup, run_trial, shutdown_on_signals};
+use tdv_runtime::trial::{FaultSetup, TrialOutcome, TrialSetup, run_trial, shutdown_on_signals};
 use tdv_simulation::Scene;
 
 /// Seconds of the clock that a trial may take: the task's limit and the start of eight processes.
@@ -131,6 +131,9 @@ fn condition(args: &ClosedLoopArgs) -> String {
     if args.driver.is_some() {
         parts.push("another driver");
     }
+    if args.controller.as_deref() == Some("e_series") {
+        parts.push("e-Series controller");
+    }
     parts.extend(killed.as_deref());
     if args.kill_carrying {
         parts.push("while carrying");
@@ -138,7 +141,8 @@ fn condition(args: &ClosedLoopArgs) -> String {
     if parts.is_empty() { "plain".into() } else { parts.join(", ") }
 }
 
-fn setup(
+/// How the trial with this seed is run.
+pub fn setup(
     args: &ClosedLoopArgs,
     task: &Task,
     scene: &Scene,
@@ -168,6 +172,9 @@ fn setup(
         .map(|(o, scale)| format!("\"{}:{scale:.6}\"", o.name))
         .collect();
     set("mesh_scales", format!("[{}]", scales.join(", ")));
+    if let Some(controller) = &args.controller {
+        set("controller", controller.clone());
+    }
     set("disturb", args.disturb.to_string());
     set("drop", args.drop.to_string());
     set("driver", args.driver.is_none().to_string());
@@ -183,10 +190,12 @@ fn setup(
         domain: 60 + (seed % 40) as u16,
         patience: PATIENCE,
         pictures: args.pictures,
-        kill_carrying: args.kill_carrying,
-        kill: args.kill.as_ref().map(|name| match name.as_str() {
-            "each" => NODES[(seed - args.seed) as usize % NODES.len()].to_owned(),
-            _ => name.clone(),
+        fault: args.kill.as_deref().map(|name| {
+            let name = match name {
+                "each" => NODES[(seed - args.seed) as usize % NODES.len()],
+                _ => name,
+            };
+            FaultSetup::kill(name, args.kill_carrying)
         }),
         driver: args.driver.clone(),
         bag: args.bag.then(|| args.run.join(format!("trial_{seed}"))),

@@ -1,5 +1,6 @@
 use crate::arguments::FaultsArgs;
 use crate::eval::write_json;
+use crate::live_faults;
 use indicatif::ProgressBar;
 use std::sync::Arc;
 use tdv_evaluation::campaign::run_campaign;
@@ -7,6 +8,9 @@ use tdv_simulation::{LabAssets, Scene};
 
 /// The fault campaign. True when no case broke anything.
 pub fn campaign(args: &FaultsArgs) -> anyhow::Result<bool> {
+    if let Some(cases) = args.live {
+        return live_faults::campaign(args, cases);
+    }
     let assets = Arc::new(LabAssets::load(Scene::load(&args.scene)?)?);
     let bar = ProgressBar::new(args.cases);
     let report = run_campaign(&assets, args.seed, args.cases, &|_| bar.inc(1))?;

@@ -8,6 +8,7 @@ mod eval;
 mod faults;
 mod graph;
 mod launch;
+mod live_faults;
 mod motion;
 mod observe;
 mod picture;

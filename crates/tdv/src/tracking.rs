@@ -112,8 +112,7 @@ fn live(args: &TrackingArgs, sequence: &Sequence) -> anyhow::Result<TrackingRepo
         domain: 59,
         patience: PATIENCE,
         pictures: false,
-        kill: None,
-        kill_carrying: false,
+        fault: None,
         driver: None,
         bag: None,
     };

@@ -14,8 +14,8 @@ use tdv_msgs::std_msgs::msg::{Bool, Float64, Float64MultiArray};
 use tdv_msgs::std_srvs::srv::{Trigger, TriggerRequest, TriggerResponse};
 use tdv_msgs::tdv_msgs::msg::{ControllerStatus, PoseTrajectory, Procedure, TrackedObjects};
 use tdv_msgs::trajectory_msgs::msg::JointTrajectory;
-use tdv_robot::motion::{GripperFeedback, GripperRequest, ProcedureState, Requests};
-use tdv_robot::{ArmController, ControllerInput, ControllerOutput, Kinematics, Limits};
+use tdv_robot::motion::{GripperFeedback, GripperRequest, ProcedureState, Requests, StatusCode};
+use tdv_robot::{ArmController, ControllerInput, ControllerOutput, Limits};
 use tdv_runtime::{Level, Node, Params, Publisher, Qos, ServiceClient, tracked};
 use tokio::runtime::Handle;
 
@@ -56,7 +56,10 @@ pub async fn control(node: Node, params: Params<ArmParameters>) -> anyhow::Resul
     if !p.limits_file.is_empty() {
         p.control.limits = Limits::load(Path::new(&p.limits_file))?;
     }
-    let kinematics = if p.robot == "ur5e" { Kinematics::ur5e() } else { Kinematics::ur5() };
+    let kinematics = p.kinematics()?;
+    if let Some(calibration) = kinematics.calibration() {
+        tracing::info!("measured arm {:?}", calibration.hash());
+    }
     let core = ArmController::new(kinematics, p.control.clone())
         .map_err(|problems| anyhow::anyhow!("{}", problems.join("; ")))?;
     let core = match p.world()? {
@@ -218,6 +221,20 @@ fn serve_requests(node: &Node, input: &SharedInput, take: &Arc<AtomicBool>) -> a
     Ok(())
 }
 
+/// What the operator can do about a hold that `~/resume` alone does not end.
+fn advice(code: StatusCode) -> &'static str {
+    match code {
+        StatusCode::HoldJoints => {
+            "; a fault that ur5_driver names stays until /ur5_driver/reset or \
+             /ur_robot_state_helper/set_mode"
+        }
+        StatusCode::Disabled => {
+            "; /ur_robot_state_helper/set_mode (mode 7, stop and play) brings a stopped robot back"
+        }
+        _ => "",
+    }
+}
+
 impl Loop {
     /// Ticks at a fixed rate; a late tick is not made up for.
     fn run(mut self, tick: Duration) {
@@ -302,10 +319,11 @@ impl Loop {
 
     fn report(&mut self, now: Stamp, output: &ControllerOutput) {
         let s = &output.status;
+        let sentence = format!("{}{}", s.sentence, advice(s.code));
         let message = ControllerStatus {
             header: tracked::header(now),
             code: s.code as u8,
-            sentence: s.sentence.clone(),
+            sentence: sentence.clone(),
             procedure: s.procedure,
             object_held: s.object_held,
             moving: s.moving,
@@ -321,10 +339,10 @@ impl Loop {
             return;
         }
         if self.last_status.as_ref().is_none_or(|(_, last)| last.code != message.code) {
-            tracing::info!("{:?}: {}", s.code, s.sentence);
+            tracing::info!("{:?}: {sentence}", s.code);
         }
         let level = if message.code >= ControllerStatus::PAUSED { Level::Warn } else { Level::Ok };
-        self.node.diagnostics().level(level, s.sentence.clone());
+        self.node.diagnostics().level(level, sentence);
         self.status.publish(message.clone());
         self.last_status = Some((now, message));
     }
@@ -333,7 +351,13 @@ impl Loop {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tdv_robot::motion::StatusCode;
+
+    #[test]
+    fn only_holds_that_a_resume_does_not_end_come_with_advice() {
+        assert!(advice(StatusCode::HoldJoints).contains("/ur5_driver/reset"));
+        assert!(advice(StatusCode::Disabled).contains("set_mode"));
+        assert!(advice(StatusCode::Following).is_empty() && advice(StatusCode::Paused).is_empty());
+    }
 
     #[test]
     fn the_message_has_the_controllers_numbers() {

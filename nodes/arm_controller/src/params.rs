@@ -1,8 +1,8 @@
 use serde::{Deserialize, Serialize};
 use std::path::Path;
-use tdv_robot::ControllerParams;
 use tdv_robot::collision::{CollisionWorld, Margins, Workcell};
 use tdv_robot::urdf::RobotModel;
+use tdv_robot::{Calibration, CalibrationError, ControllerParams, Kinematics};
 use tdv_runtime::Parameters;
 
 /// What the driver is given.
@@ -30,6 +30,7 @@ pub enum GripperAction {
 #[serde(default, deny_unknown_fields)]
 pub struct ArmParameters {
     pub robot: String,
+    pub calibration_file: String,
     pub limits_file: String,
     pub robot_description: String,
     pub workcell: String,
@@ -52,6 +53,7 @@ impl Default for ArmParameters {
     fn default() -> Self {
         Self {
             robot: "ur5".into(),
+            calibration_file: String::new(),
             limits_file: String::new(),
             robot_description: String::new(),
             workcell: String::new(),
@@ -73,6 +75,15 @@ impl Default for ArmParameters {
 }
 
 impl ArmParameters {
+    /// The arm: as its maker drew it, or as this one was measured.
+    pub fn kinematics(&self) -> Result<Kinematics, CalibrationError> {
+        let nominal = if self.robot == "ur5e" { Kinematics::ur5e() } else { Kinematics::ur5() };
+        match self.calibration_file.as_str() {
+            "" => Ok(nominal),
+            path => nominal.with_calibration(Calibration::load(Path::new(path))?),
+        }
+    }
+
     /// What the arm may run into, when a description is given.
     pub fn world(&self) -> anyhow::Result<Option<CollisionWorld>> {
         if self.robot_description.is_empty() {
@@ -119,6 +130,9 @@ impl Parameters for ArmParameters {
     fn describe(name: &str) -> &'static str {
         match name {
             "robot" => "ur5 (CB3) or ur5e",
+            "calibration_file" => {
+                "what ur_calibration wrote for this very arm; empty: the nominal arm"
+            }
             "limits_file" => {
                 "limits of the motion (config/robot/limits.yaml), instead of those under control"
             }

@@ -8,14 +8,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tdv_geometry::Stamp;
 use tdv_msgs::sensor_msgs::msg::JointState;
-use tdv_msgs::std_srvs::srv::{Trigger, TriggerResponse};
+use tdv_msgs::std_srvs::srv::{SetBool, SetBoolResponse, Trigger, TriggerResponse};
 use tdv_msgs::tdv_msgs::msg::{TrackedObject, TrackedObjects, TrialVerdict};
 use tdv_msgs::tf2_msgs::msg::TFMessage;
 use tdv_robot::JOINT_NAMES;
 use tdv_runtime::{Level, Node, Params, Publisher, Qos, Sender, inbox, tracked};
+use tdv_simulation::controller::StopReason;
 use tdv_simulation::disturbance::{Disturbance, ForcedDrop};
 use tdv_simulation::trial::PlacingGoal;
-use tdv_simulation::ur_server::{ServerConfig, UrServer};
+use tdv_simulation::ur_server::{Cutter, Link, ServerConfig, UrServer};
 use tdv_simulation::{Lab, LabAssets, Pacer, Scene};
 
 /// Times between two messages of each kind (s of the lab's time).
@@ -32,6 +33,9 @@ struct World {
     origin: Stamp,
     disturbance: Option<Disturbance>,
     disturb_now: Arc<AtomicBool>,
+    protect_now: Arc<AtomicBool>,
+    /// Why the robot stopped itself, each reason once; a stop that somebody asked for is none.
+    stops: Vec<StopReason>,
     drop: Option<ForcedDrop>,
     frames: Option<Sender<Snapshot>>,
     truth: Publisher<TrackedObjects>,
@@ -44,7 +48,11 @@ struct World {
 pub async fn simulate(node: Node, params: Params<LabParameters>) -> anyhow::Result<()> {
     let p = params.get();
     let seed = p.seed as u64;
-    let assets = Arc::new(LabAssets::load(Scene::load(Path::new(&p.scene))?)?);
+    let mut scene = Scene::load(Path::new(&p.scene))?;
+    if let Some(generation) = p.generation() {
+        scene.robot.controller = generation;
+    }
+    let assets = Arc::new(LabAssets::load(scene)?);
     let mut lab = Lab::from_assets(assets.clone(), seed)?;
     lab.begin_trial(PlacingGoal { offset: [p.goal_offset[0], p.goal_offset[1]], yaw: p.goal_yaw })?;
     let address: IpAddr = p.address.parse().context("'address'")?;
@@ -66,12 +74,11 @@ pub async fn simulate(node: Node, params: Params<LabParameters>) -> anyhow::Resu
         transforms: vec![tracked::transform("base_link", FRAME, node.now(), &knowledge.camera)],
     });
     let frames = if p.camera { Some(start_camera(&node, assets, &knowledge, seed)?) } else { None };
-    let disturb_now = Arc::new(AtomicBool::new(false));
-    let flag = disturb_now.clone();
-    node.service::<Trigger, _, _>("~/disturb", move |_request| {
-        flag.store(true, Ordering::SeqCst);
-        async { TriggerResponse { success: true, message: "an object will be displaced".into() } }
-    })?;
+    let disturb_now = flag(&node, "~/disturb", "an object will be displaced")?;
+    let protect_now = flag(&node, "~/protective_stop", "the robot will be stopped")?;
+    for (name, link) in [("~/cut_rtde", Link::Rtde), ("~/cut_gripper", Link::Gripper)] {
+        serve_cut(&node, name, link, server.cutter())?;
+    }
     let world = World {
         true_joints: node.publisher("/virtual_lab/ground_truth/joint_states", Qos::reliable(10))?,
         truth: node.publisher("/virtual_lab/ground_truth/objects", Qos::reliable(5))?,
@@ -82,6 +89,8 @@ pub async fn simulate(node: Node, params: Params<LabParameters>) -> anyhow::Resu
         origin: node.now(),
         disturbance: p.disturb.then(|| Disturbance::new(seed)),
         disturb_now,
+        protect_now,
+        stops: Vec::new(),
         drop: p.drop.then(|| ForcedDrop::new(seed)),
         frames,
         finished: false,
@@ -89,6 +98,28 @@ pub async fn simulate(node: Node, params: Params<LabParameters>) -> anyhow::Resu
     };
     node.diagnostics().level(Level::Ok, format!("controller on {address}"));
     tokio::task::spawn_blocking(move || world.run()).await.context("the physics thread")?;
+    Ok(())
+}
+
+/// A service that asks for something in the next step.
+fn flag(node: &Node, name: &str, answer: &'static str) -> anyhow::Result<Arc<AtomicBool>> {
+    let asked = Arc::new(AtomicBool::new(false));
+    let flag = asked.clone();
+    node.service::<Trigger, _, _>(name, move |_request| {
+        flag.store(true, Ordering::SeqCst);
+        async move { TriggerResponse { success: true, message: answer.into() } }
+    })?;
+    Ok(asked)
+}
+
+/// A service that cuts a connection of the robot (true) or lets it come again.
+fn serve_cut(node: &Node, name: &str, link: Link, cutter: Cutter) -> anyhow::Result<()> {
+    node.service::<SetBool, _, _>(name, move |request| {
+        cutter.cut(link, request.data);
+        let state = if request.data { "is cut" } else { "may come again" };
+        let message = format!("the connection {state}");
+        async move { SetBoolResponse { success: true, message } }
+    })?;
     Ok(())
 }
 
@@ -131,6 +162,7 @@ impl World {
             let step = time - last;
             last = time;
             self.disturb();
+            self.note_stop();
             let stamp = self.lab.stamp(self.origin);
             if due(time, step, frame_period)
                 && let Some(frames) = &self.frames
@@ -167,7 +199,19 @@ impl World {
         }
     }
 
+    fn note_stop(&mut self) {
+        if let Some(reason) = self.lab.controller().protective_stop()
+            && reason != StopReason::Asked
+            && !self.stops.contains(&reason)
+        {
+            self.stops.push(reason);
+        }
+    }
+
     fn disturb(&mut self) {
+        if self.protect_now.swap(false, Ordering::SeqCst) {
+            self.lab.controller_mut().protect(StopReason::Asked);
+        }
         if self.disturb_now.swap(false, Ordering::SeqCst) {
             let name = self.lab.scene().task.reference.clone();
             match self.lab.disturb(&name, self.lab.seed()) {
@@ -230,6 +274,17 @@ impl World {
         diagnostics.set("real_time_factor", format!("{factor:.3}"));
         diagnostics.set("table_hits", incidents.table_hits);
         diagnostics.set("protective_stops", incidents.protective_stops);
+        if !self.stops.is_empty() {
+            diagnostics.set("stopped_itself", format!("{:?}", self.stops));
+        }
+        if let Some(f) = self.server.command_figures() {
+            diagnostics.set("command_interval_p50_ms", format!("{:.2}", f.p50_ms));
+            diagnostics.set("command_interval_p99_ms", format!("{:.2}", f.p99_ms));
+            diagnostics.set("command_interval_max_ms", format!("{:.2}", f.max_ms));
+            let share = 100.0 * f.missed as f64 / f.ticks.max(1) as f64;
+            diagnostics.set("command_missed_ticks_percent", format!("{share:.2}"));
+            diagnostics.set("command_missed_ticks_in_a_row", f.missed_run);
+        }
         self.verdict.publish(TrialVerdict {
             header: tracked::header(stamp),
             finished: v.finished,

@@ -1,6 +1,7 @@
 use serde::{Deserialize, Serialize};
 use std::net::IpAddr;
 use tdv_runtime::Parameters;
+use tdv_simulation::controller::Generation;
 use tdv_simulation::ur_server::{PRIMARY_PORT, REALTIME_PORT, SECONDARY_PORT};
 use tdv_ur_protocol::{DASHBOARD_PORT, GRIPPER_PORT, RTDE_PORT};
 
@@ -9,6 +10,7 @@ use tdv_ur_protocol::{DASHBOARD_PORT, GRIPPER_PORT, RTDE_PORT};
 #[serde(default, deny_unknown_fields)]
 pub struct LabParameters {
     pub scene: String,
+    pub controller: String,
     pub seed: i64,
     pub address: String,
     pub rtde_port: u16,
@@ -28,6 +30,7 @@ impl Default for LabParameters {
     fn default() -> Self {
         Self {
             scene: "config/scenes/cup_on_coaster.yaml".into(),
+            controller: "scene".into(),
             seed: 1,
             address: "127.0.0.1".into(),
             rtde_port: RTDE_PORT,
@@ -45,11 +48,28 @@ impl Default for LabParameters {
     }
 }
 
+impl LabParameters {
+    /// The controller that is asked for instead of the scene's; `validate` refuses other words.
+    pub fn generation(&self) -> Option<Generation> {
+        match self.controller.as_str() {
+            "cb3" => Some(Generation::Cb3),
+            "e_series" => Some(Generation::ESeries),
+            _ => None,
+        }
+    }
+}
+
 impl Parameters for LabParameters {
     fn validate(&self) -> Vec<String> {
         let mut problems = Vec::new();
         if self.address.parse::<IpAddr>().is_err() {
             problems.push(format!("'address' is {:?}: not an IP address", self.address));
+        }
+        if self.controller != "scene" && self.generation().is_none() {
+            problems.push(format!(
+                "'controller' is {:?}: cb3, e_series, or scene: as the scene says",
+                self.controller
+            ));
         }
         if self.seed < 0 {
             problems.push(format!("'seed' is {}: 0 or more", self.seed));
@@ -63,6 +83,7 @@ impl Parameters for LabParameters {
     fn describe(name: &str) -> &'static str {
         match name {
             "scene" => "scene file",
+            "controller" => "cb3 (125 Hz) or e_series (500 Hz); scene: as the scene says",
             "seed" => "draws start poses, noise, light and what the robot is told wrongly",
             "address" => "address of the simulated controller's servers; loopback",
             "goal_yaw" => "demonstrated yaw of the object in the reference frame (rad)",

@@ -46,10 +46,18 @@ pub enum FaultKind {
     SpeedSlider,
     /// The object slips out of the gripper.
     Slip,
+    /// The perception bridge is killed and started again (live only).
+    PerceptionKilled,
+    /// The pose tracker is killed and started again (live only).
+    TrackerKilled,
+    /// The switch policy is killed and started again (live only).
+    SwitchKilled,
+    /// The diffusion policy is killed and started again (live only).
+    PolicyKilled,
 }
 
 impl FaultKind {
-    /// All of them.
+    /// Those of the campaign in one process.
     pub const ALL: [Self; 19] = [
         Self::MessageLoss,
         Self::OutOfOrder,
@@ -70,6 +78,20 @@ impl FaultKind {
         Self::EmergencyStop,
         Self::SpeedSlider,
         Self::Slip,
+    ];
+
+    /// Those of the campaign on the running graph.
+    pub const LIVE: [Self; 10] = [
+        Self::PerceptionKilled,
+        Self::TrackerKilled,
+        Self::SwitchKilled,
+        Self::PolicyKilled,
+        Self::ControllerKilled,
+        Self::DriverKilled,
+        Self::RtdeCut,
+        Self::GripperSilent,
+        Self::ProtectiveStop,
+        Self::SpeedSlider,
     ];
 
     /// The time (s) within which the arm has to rest when the trouble lasts longer than that; none

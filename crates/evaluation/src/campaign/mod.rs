@@ -7,11 +7,13 @@
 //! noise (2 mm, 1 deg), and the predictions are a pick-and-place by rule instead of a network's.
 
 mod fault;
+mod live;
 mod planner;
 mod rig;
 mod table;
 
 pub use fault::{Fault, FaultKind};
+pub use live::{LiveFault, judge_motion};
 pub use table::{CampaignReport, KindSummary};
 
 use rig::Rig;
@@ -43,6 +45,12 @@ pub struct CaseResult {
     pub recovered: bool,
     /// The object ended where it belongs.
     pub placed: bool,
+    /// The object was carried when it began; only the live campaign says so.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub carrying: Option<bool>,
+    /// How often an operator had to help; only the live campaign has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub helped: Option<u32>,
 }
 
 impl CaseResult {

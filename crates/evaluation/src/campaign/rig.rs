@@ -97,6 +97,8 @@ impl Rig {
             violations: Vec::new(),
             recovered: false,
             placed: false,
+            carrying: None,
+            helped: None,
         };
         let mut rig = Self {
             arm: Kinematics::ur5(),

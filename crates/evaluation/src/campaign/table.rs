@@ -32,8 +32,10 @@ pub struct CampaignReport {
 impl CampaignReport {
     /// Sums up.
     pub fn new(cases: Vec<CaseResult>) -> Self {
+        let live_only = FaultKind::LIVE.into_iter().filter(|k| !FaultKind::ALL.contains(k));
         let kinds = FaultKind::ALL
             .into_iter()
+            .chain(live_only)
             .filter_map(|kind| {
                 let of: Vec<&CaseResult> = cases.iter().filter(|c| c.kind == kind).collect();
                 let count = |f: &dyn Fn(&CaseResult) -> bool| of.iter().filter(|c| f(c)).count();
@@ -93,9 +95,10 @@ impl CampaignReport {
             let rest = c.rest_s.map_or("no rest".into(), |s| format!("rest {:.0} ms", 1e3 * s));
             let _ = writeln!(
                 out,
-                "  seed {}: {:?} for {:.2} s at {:.2} rad/s, {rest}; {} {}; told: {}",
+                "  seed {}: {:?}{} for {:.2} s at {:.2} rad/s, {rest}; {} {}; told: {}",
                 c.seed,
                 c.kind,
+                if c.carrying == Some(true) { " while carrying" } else { "" },
                 c.lasted,
                 c.speed,
                 if c.recovered { "recovered" } else { "NOT recovered" },

@@ -2,6 +2,7 @@
 
 mod fault;
 mod latency;
+mod operator;
 mod pictures;
 mod replay;
 mod signals;
@@ -13,12 +14,13 @@ use crate::record::{RecordError, Recorder, Recording};
 use crate::{
     Arguments, DiscoveryRange, Environment, Inbox, Qos, Reason, RuntimeError, Shutdown, tracked,
 };
-pub use fault::FaultFigures;
+pub use fault::{FaultFigures, FaultSetup, Trouble};
 pub use replay::{ReplayOutcome, run_replay};
 pub use signals::shutdown_on_signals;
 
 use fault::{FaultWatch, Step};
 use latency::StageClock;
+use operator::Operator;
 use pictures::PictureTaker;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -49,10 +51,8 @@ pub struct TrialSetup {
     pub patience: f64,
     /// Keep small camera pictures of the run.
     pub pictures: bool,
-    /// Kill this node (SIGKILL) once the arm has moved for a while, and start it again a second later.
-    pub kill: Option<String>,
-    /// Kill it not before something is held.
-    pub kill_carrying: bool,
+    /// What is done to the graph while the arm moves.
+    pub fault: Option<FaultSetup>,
     /// Shell command of a driver that is started too; the launch file's own is then left out by its
     /// argument `driver`.
     pub driver: Option<String>,
@@ -89,8 +89,12 @@ pub struct TrialOutcome {
     pub attachments: Vec<(Stamp, Pose)>,
     /// The last figures of the driver and the robot about the command stream, by name.
     pub stream: BTreeMap<String, f64>,
-    /// What the kill did, when one was asked for and the arm moved.
+    /// What the trouble did, when one was asked for and the arm moved.
     pub fault: Option<FaultFigures>,
+    /// The controller said at the end that the task is done.
+    pub done: bool,
+    /// What the lab counted of mishaps, by name: `table_hits`, `stopped_itself`.
+    pub incidents: BTreeMap<String, String>,
 }
 
 /// Why a trial could not be run at all.
@@ -114,11 +118,18 @@ pub enum TrialError {
 const AFTER_DONE: Duration = Duration::from_secs(5);
 /// So has a trial in which the arm has not moved for this time, start-up included.
 const STILL: Duration = Duration::from_secs(20);
+/// The same where an operator may have to help after a trouble.
+const STILL_IN_TROUBLE: Duration = Duration::from_secs(40);
+/// The lab's last diagnostics come within this time.
+const LAST_WORDS: Duration = Duration::from_millis(1300);
 /// Joint speed (rad/s) of an arm that moves.
 const MOVING: f64 = 0.02;
 
 /// Diagnostic values about the stream of commands begin so.
 const STREAM: &str = "command_";
+
+/// What the lab says of mishaps.
+const INCIDENTS: [&str; 2] = ["table_hits", "stopped_itself"];
 
 /// What a bag of a run leaves out: images at full rate. The runner writes its pictures instead.
 const TOO_MUCH: [&str; 3] = [
@@ -238,7 +249,10 @@ async fn watch_trial(setup: &TrialSetup, shutdown: &Shutdown) -> Result<TrialOut
         None => None,
     };
     let mut looked: Option<Instant> = None;
-    let mut fault = setup.kill.clone().map(|n| FaultWatch::new(n, setup.kill_carrying));
+    let mut fault = setup.fault.clone().map(FaultWatch::new);
+    let operator = fault.is_some().then(|| Operator::new(&node)).transpose()?;
+    let still = if fault.is_some() { STILL_IN_TROUBLE } else { STILL };
+    let mut ended: Option<Instant> = None;
     loop {
         tokio::time::sleep(Duration::from_millis(2)).await;
         collect(&node, &mut watch, &mut outcome, &mut stages, &mut taker, &mut fault);
@@ -253,25 +267,22 @@ async fn watch_trial(setup: &TrialSetup, shutdown: &Shutdown) -> Result<TrialOut
         let exits = launched.exited();
         let died = !exits.is_empty();
         outcome.exits.extend(exits);
-        if let Some(fault) = &mut fault {
-            match fault.step(node.now()) {
-                Step::Wait => {}
-                Step::Kill => {
-                    launched.kill(fault.node());
-                    outcome.story.push(format!("{} was killed", fault.node()));
-                }
-                Step::Restart => {
-                    launched.restart(fault.node())?;
-                    outcome.story.push(format!("{} was started again", fault.node()));
-                }
-            }
+        if let (Some(fault), Some(operator)) = (&mut fault, &operator) {
+            let step = fault.step(node.now());
+            make_trouble(step, fault.trouble(), operator, &mut launched, &mut outcome.story)?;
+            outcome.story.extend(operator.notes());
         }
         // The robot has done all that it will do: the judge has had its time.
         let idle =
-            watch.done.is_some_and(|t| t.elapsed() > AFTER_DONE) || watch.moved.elapsed() > STILL;
+            watch.done.is_some_and(|t| t.elapsed() > AFTER_DONE) || watch.moved.elapsed() > still;
         let finished = idle || outcome.verdict.as_ref().is_some_and(|v| v.finished);
         let late = began.elapsed().as_secs_f64() > setup.patience;
-        if finished || died || late || shutdown.is_requested() {
+        if finished {
+            ended.get_or_insert_with(Instant::now);
+        }
+        // The lab counts its mishaps once a second.
+        let over = ended.is_some_and(|t| fault.is_none() || t.elapsed() > LAST_WORDS);
+        if over || died || late || shutdown.is_requested() {
             break;
         }
     }
@@ -282,6 +293,7 @@ async fn watch_trial(setup: &TrialSetup, shutdown: &Shutdown) -> Result<TrialOut
     if let Some(recorder) = recorder {
         outcome.bag = Some(recorder.finish()?);
     }
+    outcome.done = watch.done.is_some();
     outcome.fault = fault.and_then(|f| f.figures());
     outcome.latency_ms = stages.into_samples();
     outcome.pictures = taker.into_pictures();
@@ -289,6 +301,34 @@ async fn watch_trial(setup: &TrialSetup, shutdown: &Shutdown) -> Result<TrialOut
     // Nodes that the same Ctrl-C ended do not make this a failed trial.
     not_interrupted(shutdown)?;
     Ok(outcome)
+}
+
+/// Does to the graph what is due.
+fn make_trouble(
+    step: Step,
+    trouble: &Trouble,
+    operator: &Operator,
+    launched: &mut Launched,
+    story: &mut Vec<String>,
+) -> Result<(), TrialError> {
+    match (step, trouble) {
+        (Step::Wait, _) => {}
+        (Step::Begin, Trouble::Kill(name)) => {
+            launched.kill(name);
+            story.push(format!("{name} was killed"));
+        }
+        (Step::End, Trouble::Kill(name)) => {
+            launched.restart(name)?;
+            story.push(format!("{name} was started again"));
+        }
+        (Step::Begin, _) => operator.act(trouble, true),
+        (Step::End, _) => operator.act(trouble, false),
+        (Step::Help(time), _) => {
+            story.push("the arm stands: the operator helps".into());
+            operator.help(time);
+        }
+    }
+    Ok(())
 }
 
 /// Adds a sentence unless one of the last two says the same with other numbers.
@@ -355,7 +395,7 @@ fn collect(
         watch.done = if m.done { watch.done.or(Some(now)) } else { None };
         watch.following = m.code == ControllerStatus::FOLLOWING;
         if let Some(fault) = fault {
-            fault.held(m.object_held);
+            fault.status(m.object_held, m.done);
             fault.sentence("arm_controller", &m.sentence);
         }
         tell(&mut outcome.story, m.sentence);
@@ -369,8 +409,12 @@ fn collect(
             if let Some(percent) = value.and_then(|v| v.value.parse::<f64>().ok()) {
                 outcome.cpu.insert(s.name.clone(), percent / 100.0);
             }
-            for v in s.values.iter().filter(|v| v.key.starts_with(STREAM)) {
-                if let Ok(value) = v.value.parse() {
+            for v in &s.values {
+                if INCIDENTS.contains(&v.key.as_str()) {
+                    outcome.incidents.insert(v.key.clone(), v.value.clone());
+                } else if v.key.starts_with(STREAM)
+                    && let Ok(value) = v.value.parse()
+                {
                     outcome.stream.insert(v.key.clone(), value);
                 }
             }

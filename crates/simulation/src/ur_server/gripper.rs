@@ -1,5 +1,5 @@
 use super::outbox::lock;
-use super::{Shared, read_all};
+use super::{Link, Shared, read_all};
 use crate::gripper::{GripperRequest, GripperStatus};
 use std::io::Write;
 use std::net::TcpStream;
@@ -8,9 +8,15 @@ use tdv_ur_protocol::gripper::{LineReader, Request, Response, Variable};
 
 /// Serves one client of the gripper's socket.
 pub(super) fn serve(mut stream: TcpStream, shared: &Arc<Shared>) {
+    if shared.is_cut(Link::Gripper) {
+        return;
+    }
     let mut lines = LineReader::default();
     let Ok(mut out) = stream.try_clone() else { return };
     let end = read_all(&mut stream, shared, |bytes| {
+        if shared.is_cut(Link::Gripper) {
+            return Err("the connection is cut".into());
+        }
         lines.push(bytes).map_err(|e| e.to_string())?;
         while let Some(line) = lines.next_line() {
             if line.is_empty() {

@@ -6,6 +6,7 @@
 
 mod dashboard;
 mod gripper;
+mod meter;
 mod outbox;
 mod rtde;
 mod script;
@@ -18,6 +19,7 @@ use crate::error::SimulationError;
 use crate::gripper::{GripperRequest, GripperStatus};
 use crate::lab::Lab;
 use crate::world::DT;
+use meter::CommandMeter;
 use outbox::{Outbox, lock};
 use script::{Port, StreamClient};
 use session::{Owners, Session};
@@ -31,6 +33,7 @@ use std::time::Duration;
 use tdv_ur_protocol::rtde::{CB3_RATE, E_SERIES_RATE};
 use tdv_ur_protocol::{DASHBOARD_PORT, GRIPPER_PORT, RTDE_PORT};
 
+pub use meter::CommandFigures;
 pub use tdv_ur_protocol::script::{REALTIME_PORT, SECONDARY_PORT};
 
 /// TCP port of the primary interface.
@@ -99,6 +102,29 @@ struct Shared {
     streams: Mutex<Vec<StreamClient>>,
     /// Clients of all servers together.
     connections: AtomicUsize,
+    meter: Mutex<CommandMeter>,
+    /// By [`Link`].
+    cut: [AtomicBool; 2],
+}
+
+/// A connection that can be cut.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Link {
+    /// RTDE.
+    Rtde,
+    /// The gripper's socket.
+    Gripper,
+}
+
+/// Cuts connections of a running server and lets them come again; clones act on the same server.
+#[derive(Clone)]
+pub struct Cutter(Arc<Shared>);
+
+impl Cutter {
+    /// While a link is cut its connections are closed, and new ones as soon as they are made.
+    pub fn cut(&self, link: Link, cut: bool) {
+        self.0.cut[link as usize].store(cut, Ordering::Relaxed);
+    }
 }
 
 impl Shared {
@@ -111,6 +137,10 @@ impl Shared {
 
     fn stopped(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
+    }
+
+    fn is_cut(&self, link: Link) -> bool {
+        self.cut[link as usize].load(Ordering::Relaxed)
     }
 }
 
@@ -140,6 +170,8 @@ impl UrServer {
             scripts: Mutex::default(),
             streams: Mutex::default(),
             connections: AtomicUsize::new(0),
+            meter: Mutex::default(),
+            cut: Default::default(),
         });
         let open = |what: &'static str, port: u16| {
             let address = SocketAddr::new(config.address, port);
@@ -185,6 +217,16 @@ impl UrServer {
         lock(&self.shared.clients).len()
     }
 
+    /// To cut connections.
+    pub fn cutter(&self) -> Cutter {
+        Cutter(Arc::clone(&self.shared))
+    }
+
+    /// How regularly fresh commands have come while the servo program followed; none before it did.
+    pub fn command_figures(&self) -> Option<CommandFigures> {
+        lock(&self.shared.meter).figures()
+    }
+
     /// Keeps a program under a name for the dashboard's `load`.
     pub fn keep_program(&self, name: &str, text: &str) {
         lock(&self.shared.desk).programs.insert(name.to_owned(), text.to_owned());
@@ -208,6 +250,9 @@ impl UrServer {
     /// The controller's part of [`exchange`](Self::exchange), `dt` seconds after the last one.
     pub fn exchange_controller(&self, c: &mut Controller, dt: f64) {
         lock(&self.shared.registers).deliver(c);
+        if due(c, dt, c.generation().cycle()) {
+            lock(&self.shared.meter).tick(c);
+        }
         let scripts = std::mem::take(&mut *lock(&self.shared.scripts));
         for script in scripts {
             // The controller has said why; there is no answer on these ports.
@@ -224,7 +269,7 @@ impl UrServer {
             if session.started() {
                 messages.iter().for_each(|m| client.outbox.text(session::text(m)));
             }
-            if let Some(bytes) = session.tick(dt, c) {
+            if let Some(bytes) = session.tick(dt, c).filter(|_| !self.shared.is_cut(Link::Rtde)) {
                 client.outbox.data(bytes);
             }
         }
@@ -233,11 +278,10 @@ impl UrServer {
 
     fn stream(&self, c: &Controller, dt: f64, messages: &[Message]) {
         let mut streams = lock(&self.shared.streams);
-        let due = |period: f64| ((c.time() + dt) / period).floor() > (c.time() / period).floor();
         let (mut state, mut realtime) = (None, None);
         for client in streams.iter_mut() {
             if client.port == Port::Realtime {
-                if due(c.generation().cycle()) {
+                if due(c, dt, c.generation().cycle()) {
                     let bytes = realtime.get_or_insert_with(|| stream::realtime(c));
                     client.outbox.data(bytes.clone());
                 }
@@ -250,12 +294,17 @@ impl UrServer {
             if client.port == Port::Primary {
                 messages.iter().for_each(|m| client.outbox.text(stream::text(c, m)));
             }
-            if due(0.1) {
+            if due(c, dt, 0.1) {
                 let bytes = state.get_or_insert_with(|| stream::robot_state(c));
                 client.outbox.data(bytes.clone());
             }
         }
     }
+}
+
+/// True once per period of the controller's time.
+fn due(c: &Controller, dt: f64, period: f64) -> bool {
+    ((c.time() + dt) / period).floor() > (c.time() / period).floor()
 }
 
 impl Drop for UrServer {

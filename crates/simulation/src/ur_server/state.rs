@@ -119,7 +119,7 @@ impl InputRegisters {
         }
     }
 
-    #[cfg(test)]
+    /// The registers as they stand.
     pub(crate) fn inputs(&self) -> &Inputs {
         &self.inputs
     }
