@@ -1,29 +1,22 @@
 //! Training of the trajectory policy.
 
-use crate::kernels::{AdamW, adamw, add, squared_norm};
-use crate::network::{Architecture, Batch, Dimensions, Workspace};
-use crate::normaliser::POSE_DIM;
+mod draw;
+mod run;
+mod state;
+
+use crate::network::Architecture;
 use crate::planner::{Planner, PlannerConfig};
-use crate::rng::{Stream, stream};
-use crate::rollout::{RolloutConfig, RolloutReport, RolloutTrial, evaluate};
-use crate::samples::Windows;
-use crate::{
-    Normaliser, PolicyConfig, PolicyError, Prediction, Schedule, TrainConfig, TrainedPolicy,
-    TrainingSet,
-};
-use rand::Rng;
-use rand_chacha::ChaCha8Rng;
-use rand_distr::StandardNormal;
+use crate::rollout::{RolloutConfig, RolloutReport, RolloutTrial, errors};
+use crate::tasks::{LearnedTask, together};
+use crate::{PolicyConfig, PolicyError, TrainConfig, TrainedPolicy, TrainingSet};
+use draw::Drawer;
+use run::Run;
+use serde::Serialize;
+use state::Fingerprint;
 use std::time::Instant;
 
-/// Samples that go through the network at once: few, so that they stay in the cache.
-const MICRO_BATCH: usize = 16;
-/// The batch is always split into this many parts, whatever the number of threads, so that the
-/// gradient's sum has one order.
-const LANES: usize = 2;
-
 /// Said after every step.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize)]
 pub struct TrainProgress {
     /// Steps done, from 1.
     pub step: usize,
@@ -35,102 +28,12 @@ pub struct TrainProgress {
     pub learning_rate: f64,
     /// Norm of the gradient before clipping.
     pub gradient_norm: f64,
-    /// Mean wall time of a step so far (ms).
+    /// Mean wall time of a step so far, rollouts included (ms).
     pub step_ms: f64,
     /// Expected time to the end (s).
     pub eta: f64,
     /// Closed-loop result on unseen starts, when this step was one to evaluate.
     pub rollout: Option<RolloutReport>,
-}
-
-/// One of the batch's parts: own buffers, own gradient.
-struct Lane {
-    workspace: Workspace,
-    grads: Vec<f32>,
-    loss: f64,
-}
-
-struct Samples {
-    history: Vec<f32>,
-    clean: Vec<f32>,
-    noise: Vec<f32>,
-    noisy: Vec<f32>,
-    target: Vec<f32>,
-    procedure: Vec<usize>,
-    step: Vec<usize>,
-}
-
-/// Draws a step's samples; every random number comes from here, on one thread.
-struct Drawer<'a> {
-    windows: Windows<'a>,
-    schedule: &'a Schedule,
-    prediction: Prediction,
-    batch_rng: ChaCha8Rng,
-    augmentation_rng: ChaCha8Rng,
-    noise_rng: ChaCha8Rng,
-}
-
-impl Drawer<'_> {
-    fn draw(&mut self, s: &mut Samples) {
-        let count = s.procedure.len();
-        let (h, f) = (s.history.len() / count, s.clean.len() / count);
-        for v in &mut s.noise {
-            *v = self.noise_rng.sample(StandardNormal);
-        }
-        for i in 0..count {
-            let at = self.windows.draw(&mut self.batch_rng);
-            s.procedure[i] = at.0;
-            let clean = &mut s.clean[i * f..][..f];
-            self.windows.write(at, &mut self.augmentation_rng, &mut s.history[i * h..][..h], clean);
-            let k = self.noise_rng.random_range(0..self.schedule.len());
-            s.step[i] = k;
-            let noise = &s.noise[i * f..][..f];
-            self.schedule.add_noise(k, clean, noise, &mut s.noisy[i * f..][..f]);
-            self.schedule.target(self.prediction, k, clean, noise, &mut s.target[i * f..][..f]);
-        }
-    }
-}
-
-/// Everything fixed during a step, shared by the lanes.
-struct Pass<'a> {
-    architecture: &'a Architecture,
-    theta: &'a [f32],
-    samples: &'a Samples,
-    text: Option<&'a [f32]>,
-    weights: [f32; POSE_DIM],
-}
-
-impl Pass<'_> {
-    /// Gradient and loss of samples `from..to`.
-    fn run(&self, lane: &mut Lane, from: usize, to: usize) {
-        let c = &self.architecture.config;
-        let (h, f) = (c.history * POSE_DIM, c.horizon * POSE_DIM);
-        lane.grads.fill(0.0);
-        lane.loss = 0.0;
-        let mut at = from;
-        while at < to {
-            let n = MICRO_BATCH.min(to - at);
-            let s = self.samples;
-            let batch = Batch {
-                len: n,
-                history: &s.history[at * h..][..n * h],
-                procedure: &s.procedure[at..at + n],
-                noisy: &s.noisy[at * f..][..n * f],
-                step: &s.step[at..at + n],
-                text: self.text,
-            };
-            lane.workspace.forward(self.architecture, self.theta, &batch);
-            lane.loss += lane.workspace.backward(
-                self.architecture,
-                self.theta,
-                &batch,
-                &s.target[at * f..][..n * f],
-                &self.weights,
-                &mut lane.grads,
-            );
-            at += n;
-        }
-    }
 }
 
 fn learning_rate(t: &TrainConfig, step: usize) -> f64 {
@@ -139,14 +42,6 @@ fn learning_rate(t: &TrainConfig, step: usize) -> f64 {
     }
     let x = (step - t.warm_up) as f64 / (t.steps.saturating_sub(t.warm_up)).max(1) as f64;
     t.learning_rate * (0.02 + 0.98 * 0.5 * (1.0 + (std::f64::consts::PI * x.min(1.0)).cos()))
-}
-
-/// Weights of the squared errors, so that their mean over the pose's numbers is weighted 1.
-fn loss_weights(t: &TrainConfig, samples: usize) -> [f32; POSE_DIM] {
-    let raw: [f64; POSE_DIM] =
-        std::array::from_fn(|c| if c < 3 { t.position_weight } else { t.rotation_weight });
-    let total: f64 = raw.iter().sum();
-    raw.map(|w| (w / total / samples as f64) as f32)
 }
 
 /// Moves every tenth trajectory (at most 20 of a procedure) out of the set, for rollouts.
@@ -174,199 +69,161 @@ pub fn train(
     t: &TrainConfig,
     progress: &mut dyn FnMut(&TrainProgress),
 ) -> Result<TrainedPolicy, PolicyError> {
-    t.validate()?;
-    set.validate(policy)?;
-    let dimensions = Dimensions {
-        procedures: set.procedures.len(),
-        text: set.text_embedding.as_ref().map_or(0, Vec::len),
-    };
-    let architecture = Architecture::new(policy, dimensions)?;
-    let normalisers = set.normalisers()?;
-    let (set_kept, trials) =
-        if t.evaluate_every > 0 { hold_out(set) } else { (set.clone(), Vec::new()) };
-    let mut run = Run::new(&architecture, &set_kept, t);
-    let schedule = Schedule::squared_cosine(policy.train_steps);
-    let mut drawer = Drawer {
-        windows: Windows::new(&set_kept, &normalisers, policy, t),
-        schedule: &schedule,
-        prediction: policy.prediction,
-        batch_rng: stream(t.seed, Stream::Batch),
-        augmentation_rng: stream(t.seed, Stream::Augmentation),
-        noise_rng: stream(t.seed, Stream::Noise),
-    };
-    let begin = Instant::now();
-    let mut loss = 0.0;
-    let (mut good, mut last_rollout, mut steps) = (0, None, 0);
-    for step in 1..=t.steps {
-        drawer.draw(&mut run.samples);
+    train_tasks(std::slice::from_ref(set), policy, t, progress)
+}
+
+/// As [`train()`], one policy for several tasks. They are drawn equally often, each with its own
+/// normalisers, and the network tells them apart by their text embeddings alone. The policy that comes
+/// back has the first task chosen.
+///
+/// # Errors
+/// As [`train()`]; [`PolicyError::Data`] for tasks that cannot be told apart.
+pub fn train_tasks(
+    sets: &[TrainingSet],
+    policy: &PolicyConfig,
+    t: &TrainConfig,
+    progress: &mut dyn FnMut(&TrainProgress),
+) -> Result<TrainedPolicy, PolicyError> {
+    let mut training = Training::new(sets, policy, t)?;
+    while !training.is_done() {
+        progress(&training.step()?);
+    }
+    training.policy()
+}
+
+/// A training that goes step by step and can be kept on the disk in between.
+pub struct Training {
+    t: TrainConfig,
+    fingerprint: Fingerprint,
+    tasks: Vec<LearnedTask>,
+    /// Kept starts of each task.
+    trials: Vec<Vec<RolloutTrial>>,
+    architecture: Architecture,
+    drawer: Drawer,
+    run: Run,
+    /// Running mean of the loss.
+    loss: f64,
+    step: usize,
+    /// Good rollout evaluations in a row.
+    good: usize,
+    rollout: Option<RolloutReport>,
+    began: Instant,
+    steps_here: usize,
+}
+
+impl Training {
+    /// At step 0.
+    ///
+    /// # Errors
+    /// [`PolicyError::Config`], [`PolicyError::Data`], [`PolicyError::NotFinite`].
+    pub fn new(
+        sets: &[TrainingSet],
+        policy: &PolicyConfig,
+        t: &TrainConfig,
+    ) -> Result<Self, PolicyError> {
+        t.validate()?;
+        let dimensions = together(sets, policy)?;
+        let architecture = Architecture::new(policy, dimensions)?;
+        let tasks = sets.iter().map(LearnedTask::of).collect::<Result<Vec<_>, _>>()?;
+        let (kept, trials) = sets
+            .iter()
+            .map(|set| if t.evaluate_every > 0 { hold_out(set) } else { (set.clone(), Vec::new()) })
+            .unzip();
+        Ok(Self {
+            fingerprint: Fingerprint::of(sets, policy, t),
+            trials,
+            drawer: Drawer::new(kept, &tasks, policy, t),
+            run: Run::new(&architecture, &tasks, t),
+            architecture,
+            tasks,
+            t: t.clone(),
+            loss: 0.0,
+            step: 0,
+            good: 0,
+            rollout: None,
+            began: Instant::now(),
+            steps_here: 0,
+        })
+    }
+
+    /// Steps done.
+    pub fn steps_done(&self) -> usize {
+        self.step
+    }
+
+    /// All steps are done, or the rollouts were good enough to stop.
+    pub fn is_done(&self) -> bool {
+        self.step >= self.t.steps || (self.t.early_stop && self.good >= 2)
+    }
+
+    /// One step.
+    ///
+    /// # Errors
+    /// [`PolicyError::Diverged`]; what [`Planner::plan`] says in rollouts.
+    pub fn step(&mut self) -> Result<TrainProgress, PolicyError> {
+        let t = &self.t;
+        let step = self.step + 1;
+        self.drawer.draw(&mut self.run.samples);
         let lr = learning_rate(t, step);
-        let (step_loss, norm) = run.step(step, lr)?;
-        steps = step;
-        loss = if step == 1 { step_loss } else { 0.98 * loss + 0.02 * step_loss };
+        let (loss, gradient_norm) = self.run.step(&self.architecture, t, step, lr)?;
+        self.step = step;
+        self.loss = if step == 1 { loss } else { 0.98 * self.loss + 0.02 * loss };
         let mut rollout = None;
-        if t.evaluate_every > 0 && !trials.is_empty() && step % t.evaluate_every == 0 {
-            let candidate = run.policy(set, &normalisers, t, step, loss);
-            let mut planner = Planner::new(&candidate, PlannerConfig::default())?;
-            let report = evaluate(&mut planner, &trials, &RolloutConfig::default(), t.seed)?;
+        let due = t.evaluate_every > 0 && step.is_multiple_of(t.evaluate_every);
+        if due && self.trials.iter().any(|trials| !trials.is_empty()) {
+            let report = self.roll_out()?;
             let fine = report.success_rate() >= 0.99 && report.median_position < 0.0025;
-            good = if fine { good + 1 } else { 0 };
-            last_rollout = Some(report.clone());
+            self.good = if fine { self.good + 1 } else { 0 };
+            self.rollout = Some(report.clone());
             rollout = Some(report);
         }
-        let step_ms = begin.elapsed().as_secs_f64() * 1e3 / step as f64;
-        progress(&TrainProgress {
-            step,
-            steps: t.steps,
-            loss: step_loss,
-            learning_rate: lr,
-            gradient_norm: norm,
-            step_ms,
-            eta: step_ms * 1e-3 * (t.steps - step) as f64,
-            rollout,
-        });
-        if t.early_stop && good >= 2 {
-            break;
-        }
-    }
-    let mut trained = run.policy(set, &normalisers, t, steps, loss);
-    if let Some(r) = last_rollout {
-        trained.metrics.insert("rollout_success".into(), r.success_rate());
-        trained.metrics.insert("rollout_median_position_m".into(), r.median_position);
-    }
-    Ok(trained)
-}
-
-/// Weights, optimiser and buffers of a run.
-struct Run<'a> {
-    architecture: &'a Architecture,
-    t: &'a TrainConfig,
-    text: Option<Vec<f32>>,
-    samples: Samples,
-    lanes: Vec<Lane>,
-    theta: Vec<f32>,
-    ema: Vec<f32>,
-    m: Vec<f32>,
-    v: Vec<f32>,
-}
-
-impl<'a> Run<'a> {
-    fn new(architecture: &'a Architecture, set: &TrainingSet, t: &'a TrainConfig) -> Self {
-        let (c, n) = (&architecture.config, t.batch);
-        let (h, f) = (c.history * POSE_DIM, c.horizon * POSE_DIM);
-        let zeros = |k: usize| vec![0.0f32; n * k];
-        let theta = architecture.initial(t.seed);
-        Self {
-            architecture,
-            t,
-            text: set.text_embedding.clone(),
-            samples: Samples {
-                history: zeros(h),
-                clean: zeros(f),
-                noise: zeros(f),
-                noisy: zeros(f),
-                target: zeros(f),
-                procedure: vec![0; n],
-                step: vec![0; n],
-            },
-            lanes: (0..LANES)
-                .map(|_| Lane {
-                    workspace: Workspace::new(architecture, MICRO_BATCH),
-                    grads: vec![0.0; architecture.len()],
-                    loss: 0.0,
-                })
-                .collect(),
-            ema: theta.clone(),
-            m: vec![0.0; theta.len()],
-            v: vec![0.0; theta.len()],
-            theta,
-        }
+        self.steps_here += 1;
+        let step_ms = self.began.elapsed().as_secs_f64() * 1e3 / self.steps_here as f64;
+        let (steps, learning_rate) = (self.t.steps, lr);
+        let eta = step_ms * 1e-3 * (steps - step) as f64;
+        Ok(TrainProgress { step, steps, loss, learning_rate, gradient_norm, step_ms, eta, rollout })
     }
 
-    /// One optimiser step; loss and gradient norm.
-    fn step(&mut self, step: usize, lr: f64) -> Result<(f64, f64), PolicyError> {
-        let t = self.t;
-        let pass = Pass {
-            architecture: self.architecture,
-            theta: &self.theta,
-            samples: &self.samples,
-            text: self.text.as_deref(),
-            weights: loss_weights(t, t.batch * self.architecture.config.horizon),
-        };
-        let (middle, end) = (t.batch.div_ceil(LANES), t.batch);
-        let (first, second) = self.lanes.split_at_mut(1);
-        let (first, second) = (&mut first[0], &mut second[0]);
-        if t.threads > 1 {
-            std::thread::scope(|scope| {
-                scope.spawn(|| pass.run(second, middle, end));
-                pass.run(first, 0, middle);
-            });
-        } else {
-            pass.run(first, 0, middle);
-            pass.run(second, middle, end);
+    /// Rollouts of the averaged weights on the kept starts of all tasks.
+    fn roll_out(&self) -> Result<RolloutReport, PolicyError> {
+        let config = RolloutConfig::default();
+        let mut all = Vec::new();
+        let candidate = self.policy()?;
+        for (task, trials) in self.tasks.iter().zip(&self.trials) {
+            let chosen = candidate.clone().choose(&task.task)?;
+            let mut planner = Planner::new(&chosen, PlannerConfig::default())?;
+            all.extend(errors(&mut planner, trials, &config, self.t.seed)?);
         }
-        add(&second.grads, &mut first.grads);
-        let loss = first.loss + second.loss;
-        let grads = &first.grads;
-        let norm = squared_norm(grads).sqrt();
-        for (value, what) in [(loss, "loss"), (norm, "gradient")] {
-            if !value.is_finite() {
-                return Err(PolicyError::Diverged { step, what });
-            }
-        }
-        let mut a = AdamW {
-            lr: lr as f32,
-            beta1: 0.9,
-            beta2: 0.98,
-            weight_decay: 0.0,
-            gradient_scale: (t.clip / norm).min(1.0) as f32,
-            step: step as u32,
-        };
-        for p in self.architecture.parameters() {
-            a.weight_decay = if p.decay { t.weight_decay as f32 } else { 0.0 };
-            adamw(
-                a,
-                p.slot.of_mut(&mut self.theta),
-                p.slot.of(grads),
-                p.slot.of_mut(&mut self.m),
-                p.slot.of_mut(&mut self.v),
-            );
-        }
-        let decay = t.ema.min(1.0 - (1.0 + step as f64).powf(-0.75)) as f32;
-        for (e, p) in self.ema.iter_mut().zip(&self.theta) {
-            *e = decay * *e + (1.0 - decay) * p;
-        }
-        Ok((loss, norm))
+        RolloutReport::of(&all, &config)
     }
 
-    fn policy(
-        &self,
-        set: &TrainingSet,
-        normalisers: &[Normaliser],
-        t: &TrainConfig,
-        step: usize,
-        loss: f64,
-    ) -> TrainedPolicy {
-        TrainedPolicy {
-            architecture: self.architecture.clone(),
-            weights: self.ema.clone(),
-            normalisers: normalisers.to_vec(),
-            task: set.task.clone(),
-            text: set.text.clone(),
-            text_embedding: set.text_embedding.clone(),
-            procedures: set.procedures.iter().map(|p| p.name.clone()).collect(),
-            end_poses: set.end_poses(),
-            dataset_hash: set.dataset_hash.clone(),
-            seed: t.seed,
-            steps: step,
-            metrics: [("loss".to_string(), loss)].into(),
+    /// The policy as it is now: the averaged weights, the first task chosen.
+    ///
+    /// # Errors
+    /// None after a successful construction.
+    pub fn policy(&self) -> Result<TrainedPolicy, PolicyError> {
+        let mut metrics: std::collections::BTreeMap<_, _> =
+            [("loss".to_string(), self.loss)].into();
+        if let Some(r) = &self.rollout {
+            metrics.insert("rollout_success".into(), r.success_rate());
+            metrics.insert("rollout_median_position_m".into(), r.median_position);
         }
+        TrainedPolicy::of(
+            self.architecture.clone(),
+            self.run.ema.clone(),
+            &self.tasks,
+            self.t.seed,
+            self.step,
+            metrics,
+        )
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::synthetic;
+    use crate::rollout::evaluate;
+    use crate::{Prediction, synthetic};
 
     fn tiny() -> (PolicyConfig, TrainConfig) {
         let policy = PolicyConfig {
@@ -422,8 +279,44 @@ mod tests {
         assert!((learning_rate(&t, 5) - 0.5).abs() < 1e-12);
         assert!((learning_rate(&t, 10) - 1.0).abs() < 1e-12);
         assert!((learning_rate(&t, 100) - 0.02).abs() < 1e-12);
-        let w = loss_weights(&t, 4);
+        let w = run::loss_weights(&t, 4);
         assert!((w.iter().sum::<f32>() * 4.0 - 1.0).abs() < 1e-6);
+    }
+
+    /// One network, one scene, two goals 40 cm apart: the text decides which one is reached, also with
+    /// the other task's normalisers.
+    #[test]
+    fn the_text_decides_between_two_tasks() {
+        let sets = synthetic::two_goal_sets(40, 5);
+        let policy = PolicyConfig { d_model: 32, dt: 0.1, ..PolicyConfig::small() };
+        let t = TrainConfig {
+            steps: 300,
+            batch: 96,
+            learning_rate: 2e-3,
+            warm_up: 30,
+            ..Default::default()
+        };
+        let both = train_tasks(&sets, &policy, &t, &mut |_| {}).unwrap();
+        let unseen = synthetic::two_goal_sets(6, 77);
+        let trials = |i: usize| -> Vec<RolloutTrial> {
+            let trajectories = &unseen[i].procedures[0].trajectories;
+            trajectories.iter().map(|t| RolloutTrial::of(0, t)).collect()
+        };
+        let config = RolloutConfig { position_tolerance: 0.02, ..Default::default() };
+        for (mine, other) in [(0, 1), (1, 0)] {
+            let chosen = both.clone().choose(&sets[mine].task).unwrap();
+            let mut planner = Planner::new(&chosen, PlannerConfig::default()).unwrap();
+            let own = evaluate(&mut planner, &trials(mine), &config, 1).unwrap();
+            println!("{}: {own:?}", chosen.task);
+            assert!(own.successes >= 5, "{own:?}");
+            // The same network and scene with the other's words goes to the other's goal.
+            let mut swapped = chosen;
+            swapped.text_embedding = sets[other].text_embedding.clone();
+            let mut planner = Planner::new(&swapped, PlannerConfig::default()).unwrap();
+            let own = evaluate(&mut planner, &trials(mine), &config, 1).unwrap();
+            let theirs = evaluate(&mut planner, &trials(other), &config, 1).unwrap();
+            assert!(own.successes == 0 && theirs.median_position < 0.05, "{own:?} {theirs:?}");
+        }
     }
 
     /// The whole way: a small set, a short training, unseen starts reached in closed loop.
