@@ -358,6 +358,55 @@ mod tests {
     use crate::rng::{Stream, stream};
     use crate::synthetic;
 
+    /// No disturbance of any kind.
+    fn quiet() -> TrainConfig {
+        TrainConfig {
+            noise_position: 0.0,
+            noise_rotation: 0.0,
+            drift_position: 0.0,
+            drift_rotation: 0.0,
+            time_jitter: 0.0,
+            padding: 0.0,
+            missing: 0.0,
+            leave: 0.0,
+            ..TrainConfig::default()
+        }
+    }
+
+    /// Histories of a start are padded with their oldest pose, to any length; those with missing samples
+    /// are bent, but the newest pose and the future are as they were.
+    #[test]
+    fn padded_and_patchy_histories_end_at_the_same_pose() {
+        let set = synthetic::place_set(2, 1);
+        let config = PolicyConfig { dt: 0.1, ..PolicyConfig::small() };
+        let n = set.normalisers().unwrap();
+        let place = Place { task: 0, procedure: 0, trajectory: 0, position: 30 };
+        let draw = |t: &TrainConfig, seed: u64| {
+            let w = Windows::new(vec![set.clone()], vec![n.clone()], &config, t);
+            let (mut h, mut f) = (vec![0.0; 8 * 9], vec![0.0; 16 * 9]);
+            w.write(place, &mut stream(seed, Stream::Augmentation), &mut h, &mut f);
+            (h, f)
+        };
+        let (whole, future) = draw(&quiet(), 0);
+        let padded = TrainConfig { padding: 1.0, ..quiet() };
+        let patchy = TrainConfig { missing: 0.4, ..quiet() };
+        let (mut lengths, mut bent) = ([0; 9], 0);
+        for seed in 0..200 {
+            let (h, f) = draw(&padded, seed);
+            let own = h.chunks(9).zip(whole.chunks(9)).rev().take_while(|(a, b)| a == b).count();
+            lengths[own] += 1;
+            assert!(h[..(8 - own) * 9].chunks(9).all(|row| row == &h[(8 - own) * 9..][..9]));
+            assert_eq!(f, future);
+            let (h, f) = draw(&patchy, seed);
+            assert_eq!((&h[63..], &f), (&whole[63..], &future));
+            // Bent by no more than the way between the neighbours.
+            assert!(h.iter().zip(&whole).all(|(a, b)| (a - b).abs() < 0.6));
+            bent += usize::from(h != whole);
+        }
+        assert!(lengths[0] == 0 && lengths[1..].iter().all(|n| *n > 5), "{lengths:?}");
+        assert!(bent > 180, "{bent}");
+    }
+
     #[test]
     fn bad_sets_are_refused_by_name() {
         let config = PolicyConfig { dt: 0.1, ..PolicyConfig::small() };
@@ -377,16 +426,7 @@ mod tests {
     fn windows_hold_the_ends_and_follow_the_path() {
         let set = synthetic::place_set(3, 1);
         let config = PolicyConfig { dt: 0.1, ..PolicyConfig::small() };
-        let quiet = TrainConfig {
-            noise_position: 0.0,
-            noise_rotation: 0.0,
-            drift_position: 0.0,
-            drift_rotation: 0.0,
-            time_jitter: 0.0,
-            padding: 0.0,
-            leave: 0.0,
-            ..TrainConfig::default()
-        };
+        let quiet = quiet();
         let n = set.normalisers().unwrap();
         let w = Windows::new(vec![set.clone()], vec![n.clone()], &config, &quiet);
         let at = |position| Place { task: 0, procedure: 0, trajectory: 1, position };

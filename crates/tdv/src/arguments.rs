@@ -36,7 +36,12 @@ pub enum Command {
 #[derive(Args, Clone)]
 pub struct TeachArgs {
     /// Task file
-    #[arg(long, required_unless_present = "multi", default_value = "", hide_default_value = true)]
+    #[arg(
+        long,
+        required_unless_present = "multi",
+        default_value = "(by --multi)",
+        hide_default_value = true
+    )]
     pub task: PathBuf,
     /// Recording: a rosbag2 folder or .mcap file with colour, aligned depth, camera_info and /tf_static
     #[arg(
@@ -283,6 +288,9 @@ pub enum BagCommand {
 
 #[derive(Args)]
 pub struct DoctorArgs {
+    /// Folder of the sentence encoder
+    #[arg(long, default_value = "models/text")]
+    pub text_model: PathBuf,
     /// Folder of the hand networks
     #[arg(long, default_value = "models/hands")]
     pub hand_models: PathBuf,

@@ -84,10 +84,9 @@ pub fn learn(
     } else {
         Training::new(sets, &network, &config)?
     };
-    let mut log = Log::open(out, training.steps_done(), args.resume)?;
+    let (mut log, mut progress) = Log::open(out, training.steps_done(), args.resume)?;
     let progress_bar = bar(args.steps as u64, "training");
     progress_bar.set_position(training.steps_done() as u64);
-    let mut progress = Vec::new();
     while !training.is_done() {
         let p = training.step()?;
         log.write(&p)?;
@@ -114,11 +113,17 @@ struct Log {
 }
 
 impl Log {
-    fn open(out: &Path, steps: usize, resume: bool) -> anyhow::Result<Self> {
+    /// And what a training that is resumed said before.
+    fn open(out: &Path, steps: usize, resume: bool) -> anyhow::Result<(Self, Vec<TrainProgress>)> {
         let path = out.join("training.jsonl");
         let old =
             if resume { std::fs::read_to_string(&path).unwrap_or_default() } else { String::new() };
-        std::fs::write(&path, keep_until(&old, steps))
+        let kept = keep_until(&old, steps);
+        std::fs::write(&path, &kept).with_context(|| path.display().to_string())?;
+        let progress = kept
+            .lines()
+            .map(serde_json::from_str)
+            .collect::<Result<_, _>>()
             .with_context(|| path.display().to_string())?;
         let lines = OpenOptions::new().append(true).open(&path)?;
         if !resume {
@@ -128,7 +133,7 @@ impl Log {
         let path = out.join(format!("events.out.tfevents.{:.0}.{}", now, std::process::id()));
         let events = File::create(&path).with_context(|| path.display().to_string())?;
         let events = EventWriter::new(BufWriter::new(events), now, resume.then_some(steps))?;
-        Ok(Self { lines: BufWriter::new(lines), events })
+        Ok((Self { lines: BufWriter::new(lines), events }, progress))
     }
 
     fn write(&mut self, p: &TrainProgress) -> anyhow::Result<()> {

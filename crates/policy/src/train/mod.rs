@@ -11,12 +11,12 @@ use crate::tasks::{LearnedTask, together};
 use crate::{PolicyConfig, PolicyError, TrainConfig, TrainedPolicy, TrainingSet};
 use draw::Drawer;
 use run::Run;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use state::Fingerprint;
 use std::time::Instant;
 
 /// Said after every step.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct TrainProgress {
     /// Steps done, from 1.
     pub step: usize,
@@ -44,12 +44,12 @@ fn learning_rate(t: &TrainConfig, step: usize) -> f64 {
     t.learning_rate * (0.02 + 0.98 * 0.5 * (1.0 + (std::f64::consts::PI * x.min(1.0)).cos()))
 }
 
-/// Moves every tenth trajectory (at most 20 of a procedure) out of the set, for rollouts.
+/// Moves every tenth trajectory (at most 10 of a procedure) out of the set, for rollouts.
 fn hold_out(set: &TrainingSet) -> (TrainingSet, Vec<RolloutTrial>) {
     let mut kept = set.clone();
     let mut trials = Vec::new();
     for (procedure, p) in kept.procedures.iter_mut().enumerate() {
-        let n = (p.trajectories.len() / 10).min(20);
+        let n = (p.trajectories.len() / 10).min(10);
         for t in p.trajectories.drain(..n) {
             trials.push(RolloutTrial::of(procedure, &t));
         }
@@ -271,6 +271,18 @@ mod tests {
                 assert!(a.iter().all(|v| v.is_finite()));
             }
         }
+    }
+
+    #[test]
+    fn numbers_that_run_away_are_an_error() {
+        let mut set = synthetic::reach_and_place_set(3, 1);
+        set.text_embedding = Some(vec![f32::MAX; 12]);
+        let (policy, t) = tiny();
+        let error = train(&set, &policy, &t, &mut |_| {}).unwrap_err();
+        assert!(matches!(error, PolicyError::Diverged { step: 1, .. }), "{error}");
+        let idle = TrainConfig { early_stop: true, ..t };
+        let error = train(&set, &policy, &idle, &mut |_| {}).unwrap_err().to_string();
+        assert!(error.contains("evaluate_every"), "{error}");
     }
 
     #[test]
