@@ -1,5 +1,6 @@
 //! Trains on the synthetic placing task and prints what it reaches after how many steps and seconds.
-//! Arguments: trajectories, steps, seed, then optionally `epsilon`, `v` or `base`.
+//! Arguments: trajectories, steps, seed, then optionally `epsilon`, `v`, `base`, or `early` to stop when
+//! rollouts are good.
 
 #![allow(clippy::print_stdout)]
 
@@ -32,7 +33,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         },
         ..if has("base") { PolicyConfig::base() } else { PolicyConfig::small() }
     };
-    let train = TrainConfig { steps, seed, ..TrainConfig::default() };
+    let train = TrainConfig {
+        steps,
+        seed,
+        evaluate_every: if has("early") { 100 } else { 0 },
+        early_stop: has("early"),
+        ..TrainConfig::default()
+    };
     let set = synthetic::reach_and_place_set(count, seed + 1);
     let trials: Vec<RolloutTrial> = synthetic::reach_and_place_set(20, seed + 1000)
         .procedures
@@ -60,8 +67,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let tight = evaluate(&mut planner, &trials, &tight, seed)?;
         println!(
             "| {} | {loss:.4} | {seconds:.1} | {:.1} | {:.0}% | {:.0}% | {:.1} | {:.2} | {:.0} |",
-            t.steps,
-            seconds * 1e3 / t.steps as f64,
+            trained.steps,
+            seconds * 1e3 / trained.steps as f64,
             loose.success_rate() * 100.0,
             tight.success_rate() * 100.0,
             loose.median_position * 1e3,

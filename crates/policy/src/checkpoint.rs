@@ -1,6 +1,7 @@
 //! A trained policy and its file.
 
 use crate::network::{Architecture, Dimensions};
+use crate::tasks::{LearnedTask, TaskMetadata, embedding_name, together};
 use crate::tensors::{Loaded, Named, refuse, to_bytes, write_atomically};
 use crate::{CheckpointProblem, Normaliser, PolicyConfig, PolicyError};
 use serde::{Deserialize, Serialize};
@@ -11,9 +12,10 @@ use tdv_geometry::Pose;
 const KEY: &str = "tdv_policy";
 const WHAT: &str = "diffusion policy";
 const FORMAT: u32 = 1;
-const TEXT: &str = "text_embedding";
 
-/// Weights and everything that is needed to use them.
+/// Weights and everything that is needed to use them. A network that was taught several tasks carries
+/// out one of them at a time: the fields from `task` to `dataset_hash` are those of that one,
+/// [`TrainedPolicy::choose`] takes another.
 #[derive(Debug, Clone)]
 pub struct TrainedPolicy {
     /// The network's layout, with its configuration.
@@ -34,6 +36,8 @@ pub struct TrainedPolicy {
     pub end_poses: Vec<Pose>,
     /// Hash of the data set.
     pub dataset_hash: String,
+    /// The other tasks that the same network knows.
+    pub others: Vec<LearnedTask>,
     /// Seed of the training.
     pub seed: u64,
     /// Steps trained.
@@ -57,12 +61,74 @@ struct Metadata {
     normalisers: Vec<Normaliser>,
     end_poses: Vec<Pose>,
     dataset_hash: String,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    others: Vec<TaskMetadata>,
     seed: u64,
     steps: usize,
     metrics: BTreeMap<String, f64>,
 }
 
 impl TrainedPolicy {
+    /// A network with the tasks that it was taught; the first one is chosen.
+    ///
+    /// # Errors
+    /// [`PolicyError::Data`] without a task.
+    pub(crate) fn of(
+        architecture: Architecture,
+        weights: Vec<f32>,
+        tasks: &[LearnedTask],
+        seed: u64,
+        steps: usize,
+        metrics: BTreeMap<String, f64>,
+    ) -> Result<Self, PolicyError> {
+        let Some((first, others)) = tasks.split_first() else {
+            return Err(PolicyError::Data { reason: "there is no task".into() });
+        };
+        let t = first.clone();
+        Ok(Self {
+            architecture,
+            weights,
+            normalisers: t.normalisers,
+            task: t.task,
+            text: t.text,
+            text_embedding: t.text_embedding,
+            procedures: t.procedures,
+            end_poses: t.end_poses,
+            dataset_hash: t.dataset_hash,
+            others: others.to_vec(),
+            seed,
+            steps,
+            metrics,
+        })
+    }
+
+    /// Names of all tasks that the network knows, the chosen one first.
+    pub fn tasks(&self) -> impl Iterator<Item = &str> {
+        std::iter::once(self.task.as_str()).chain(self.others.iter().map(|t| t.task.as_str()))
+    }
+
+    /// The same network for another of its tasks.
+    ///
+    /// # Errors
+    /// [`PolicyError::UnknownTask`] naming those that it knows.
+    pub fn choose(mut self, task: &str) -> Result<Self, PolicyError> {
+        if self.task == task {
+            return Ok(self);
+        }
+        let Some(other) = self.others.iter_mut().find(|t| t.task == task) else {
+            let known = self.tasks().map(str::to_owned).collect();
+            return Err(PolicyError::UnknownTask { task: task.into(), known });
+        };
+        std::mem::swap(&mut self.task, &mut other.task);
+        std::mem::swap(&mut self.text, &mut other.text);
+        std::mem::swap(&mut self.text_embedding, &mut other.text_embedding);
+        std::mem::swap(&mut self.procedures, &mut other.procedures);
+        std::mem::swap(&mut self.normalisers, &mut other.normalisers);
+        std::mem::swap(&mut self.end_poses, &mut other.end_poses);
+        std::mem::swap(&mut self.dataset_hash, &mut other.dataset_hash);
+        Ok(self)
+    }
+
     /// The file's bytes.
     ///
     /// # Errors
@@ -83,6 +149,7 @@ impl TrainedPolicy {
             normalisers: self.normalisers.clone(),
             end_poses: self.end_poses.clone(),
             dataset_hash: self.dataset_hash.clone(),
+            others: self.others.iter().map(TaskMetadata::of).collect(),
             seed: self.seed,
             steps: self.steps,
             metrics: self.metrics.clone(),
@@ -99,8 +166,14 @@ impl TrainedPolicy {
             })
             .collect();
         let shape = [self.architecture.dimensions.text];
-        if let Some(e) = &self.text_embedding {
-            tensors.push(Named { name: TEXT, shape: &shape, values: e });
+        let others = self.others.iter().map(|t| &t.text_embedding);
+        let embeddings: Vec<_> = std::iter::once(&self.text_embedding)
+            .chain(others)
+            .enumerate()
+            .filter_map(|(i, e)| e.as_ref().map(|e| (embedding_name(i), e)))
+            .collect();
+        for (name, values) in &embeddings {
+            tensors.push(Named { name, shape: &shape, values });
         }
         to_bytes(KEY, metadata, &tensors)
     }
@@ -122,57 +195,44 @@ impl TrainedPolicy {
         let bytes = std::fs::read(path).map_err(|e| refuse(path, e))?;
         let (file, m) = Loaded::parse::<Metadata>(path, &bytes, KEY, WHAT, FORMAT)?;
         let broken = |text: String| refuse(path, CheckpointProblem::Metadata(text));
-        let count = m.procedures.len();
-        if m.normalisers.len() != count || m.end_poses.len() != count {
-            return Err(broken(format!(
-                "{count} procedures, but {} normalisers and {} end poses",
-                m.normalisers.len(),
-                m.end_poses.len()
-            )));
+        if m.text_dim > 1 << 16 {
+            return Err(broken(format!("text_dim is {}, at most 65536 is sensible", m.text_dim)));
         }
-        if !m.normalisers.iter().all(Normaliser::is_valid) {
-            return Err(broken("a normaliser's limits are not finite or not ordered".into()));
-        }
-        let dimensions = Dimensions { procedures: count, text: m.text_dim };
+        let first = TaskMetadata::parts(
+            m.task,
+            m.text,
+            m.procedures,
+            m.normalisers,
+            m.end_poses,
+            m.dataset_hash,
+        );
+        let tasks = read_tasks(&file, std::iter::once(first).chain(m.others), m.text_dim)?;
+        let procedures = tasks.iter().map(|t| t.procedures.len()).max().unwrap_or(0);
+        let dimensions = Dimensions { procedures, text: m.text_dim };
         let architecture =
             Architecture::new(&m.config, dimensions).map_err(|e| broken(e.to_string()))?;
         let mut weights = vec![0.0; architecture.len()];
         for p in architecture.parameters() {
             file.read(&p.name, &p.shape, architecture.values_mut(p, &mut weights))?;
         }
-        let mut text_embedding = None;
-        if m.text_dim > 0 {
-            let mut e = vec![0.0; m.text_dim];
-            file.read(TEXT, &[m.text_dim], &mut e)?;
-            text_embedding = Some(e);
-        }
         file.only(|name| {
-            (name == TEXT && m.text_dim > 0)
+            (m.text_dim > 0 && (0..tasks.len()).any(|i| embedding_name(i) == name))
                 || architecture.parameters().iter().any(|p| p.name == name)
         })?;
-        Ok(Self {
-            architecture,
-            weights,
-            normalisers: m.normalisers,
-            task: m.task,
-            text: m.text,
-            text_embedding,
-            procedures: m.procedures,
-            end_poses: m.end_poses,
-            dataset_hash: m.dataset_hash,
-            seed: m.seed,
-            steps: m.steps,
-            metrics: m.metrics,
-        })
+        Self::of(architecture, weights, &tasks, m.seed, m.steps, m.metrics)
     }
 
-    /// As [`TrainedPolicy::load`], refusing a policy of another task or with other procedures.
+    /// As [`TrainedPolicy::load`], choosing a task and refusing a policy that does not know it or has
+    /// other procedures for it.
     ///
     /// # Errors
     /// [`PolicyError::Checkpoint`].
     pub fn load_for(path: &Path, task: &str, procedures: &[&str]) -> Result<Self, PolicyError> {
-        let policy = Self::load(path)?;
-        require(path, &policy.task, &policy.procedures, task, procedures)?;
+        let mut policy = Self::load(path)?;
+        if policy.others.iter().any(|t| t.task == task) {
+            policy = policy.choose(task)?;
+        }
+        require(path, policy.tasks(), &policy.procedures, task, procedures)?;
         Ok(policy)
     }
 
@@ -194,37 +254,47 @@ impl TrainedPolicy {
         config: &PolicyConfig,
         seed: u64,
     ) -> Result<Self, PolicyError> {
-        set.validate(config)?;
-        let text = set.text_embedding.as_ref().map_or(0, Vec::len);
-        let dimensions = Dimensions { procedures: set.procedures.len(), text };
-        let architecture = Architecture::new(config, dimensions)?;
-        Ok(Self {
-            weights: architecture.initial(seed),
-            architecture,
-            normalisers: set.normalisers()?,
-            task: set.task.clone(),
-            text: set.text.clone(),
-            text_embedding: set.text_embedding.clone(),
-            procedures: set.procedures.iter().map(|p| p.name.clone()).collect(),
-            end_poses: set.end_poses(),
-            dataset_hash: set.dataset_hash.clone(),
-            seed,
-            steps: 0,
-            metrics: BTreeMap::new(),
-        })
+        let sets = std::slice::from_ref(set);
+        let architecture = Architecture::new(config, together(sets, config)?)?;
+        let weights = architecture.initial(seed);
+        Self::of(architecture, weights, &[LearnedTask::of(set)?], seed, 0, BTreeMap::new())
     }
 }
 
+/// The tasks of a file with their embeddings.
+pub(crate) fn read_tasks(
+    file: &Loaded,
+    tasks: impl Iterator<Item = TaskMetadata>,
+    width: usize,
+) -> Result<Vec<LearnedTask>, PolicyError> {
+    tasks
+        .enumerate()
+        .map(|(i, task)| {
+            let embedding = if width > 0 {
+                let mut e = vec![0.0; width];
+                file.read(&embedding_name(i), &[width], &mut e)?;
+                Some(e)
+            } else {
+                None
+            };
+            task.with(embedding).map_err(|text| file.refuse(CheckpointProblem::Metadata(text)))
+        })
+        .collect()
+}
+
 /// Compares what a checkpoint was trained for with what is asked.
-pub(crate) fn require(
+pub(crate) fn require<'a>(
     path: &Path,
-    found_task: &str,
+    found_tasks: impl Iterator<Item = &'a str>,
     found: &[String],
     task: &str,
     procedures: &[&str],
 ) -> Result<(), PolicyError> {
-    if found_task != task {
-        let (found, expected) = (found_task.into(), task.into());
+    let known: Vec<&str> = found_tasks.collect();
+    if known.first() != Some(&task) {
+        let list: Vec<String> = known.iter().map(|t| format!("`{t}`")).collect();
+        let plural = if list.len() == 1 { "task" } else { "tasks" };
+        let (found, expected) = (format!("{plural} {}", list.join(", ")), task.into());
         return Err(refuse(path, CheckpointProblem::OtherTask { found, expected }));
     }
     if found != procedures {
@@ -266,6 +336,31 @@ mod tests {
         assert_eq!(plan(&p).unwrap(), plan(&q).unwrap());
         // Nothing else is left in the folder.
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_file_with_two_tasks_gives_the_one_asked_for() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("both.safetensors");
+        let sets = synthetic::two_goal_sets(4, 1);
+        let config = PolicyConfig { d_model: 16, heads: 1, dt: 0.1, ..PolicyConfig::small() };
+        let t = crate::TrainConfig { steps: 2, batch: 8, ..Default::default() };
+        let both = crate::train_tasks(&sets, &config, &t, &mut |_| {}).unwrap();
+        assert_eq!(both.tasks().collect::<Vec<_>>(), ["left", "right"]);
+        both.save(&path).unwrap();
+        let read = TrainedPolicy::load(&path).unwrap();
+        assert_eq!(read.to_bytes().unwrap(), both.to_bytes().unwrap());
+        for set in &sets {
+            let p = TrainedPolicy::load_for(&path, &set.task, &["place"]).unwrap();
+            assert_eq!((&p.task, &p.text), (&set.task, &set.text));
+            assert_eq!(p.text_embedding, set.text_embedding);
+            assert_eq!(p.end_poses, set.end_poses());
+            assert_eq!(p.weights, both.weights);
+        }
+        let other = TrainedPolicy::load_for(&path, "up", &["place"]).unwrap_err().to_string();
+        assert!(other.contains("`left`") && other.contains("`up`"), "{other}");
+        let other = both.choose("up").unwrap_err().to_string();
+        assert!(other.contains("left, right"), "{other}");
     }
 
     #[test]

@@ -162,6 +162,9 @@ pub struct TrainConfig {
     pub time_jitter: f64,
     /// Part of the histories whose older poses repeat a younger one: a start, or a stall on the way.
     pub padding: f64,
+    /// Chance of each pose of a history but the newest to be missing; what the history buffer makes of
+    /// its neighbours stands there then.
+    pub missing: f64,
     /// A history that moved less than this (m, rotations at a radius of 0.1 m) counts as rest, and the
     /// plan then begins where the trajectory is this far away: plans leave a standstill. 0 for off.
     pub leave: f64,
@@ -197,6 +200,7 @@ impl Default for TrainConfig {
             drift_rotation: 0.035,
             time_jitter: 0.3,
             padding: 0.2,
+            missing: 0.05,
             leave: 0.003,
             position_weight: 4.0,
             rotation_weight: 1.0,
@@ -235,6 +239,7 @@ impl TrainConfig {
             ("drift_rotation", self.drift_rotation, 0.0, 1.0),
             ("time_jitter", self.time_jitter, 0.0, 0.9),
             ("padding", self.padding, 0.0, 1.0),
+            ("missing", self.missing, 0.0, 0.9),
             ("leave", self.leave, 0.0, 0.1),
             ("position_weight", self.position_weight, 1e-3, 1e3),
             ("rotation_weight", self.rotation_weight, 1e-3, 1e3),
@@ -242,6 +247,9 @@ impl TrainConfig {
             if !(low..=high).contains(&v) {
                 p.push(format!("{name} is {v}, must be {low}..={high}"));
             }
+        }
+        if self.early_stop && self.evaluate_every == 0 {
+            p.push("early_stop is on, but evaluate_every is 0: nothing would stop it".into());
         }
         if p.is_empty() { Ok(()) } else { Err(PolicyError::Config { problems: p }) }
     }

@@ -34,6 +34,14 @@ pub enum PolicyError {
         /// How many procedures there are.
         count: usize,
     },
+    /// A task that the policy was not taught.
+    #[error("the policy was not taught task `{task}`; it knows {}", known.join(", "))]
+    UnknownTask {
+        /// The task asked for.
+        task: String,
+        /// Those that it knows.
+        known: Vec<String>,
+    },
     /// A history of the wrong length.
     #[error("the history has {have} poses, the policy was trained with {need}")]
     HistoryLength {
@@ -117,13 +125,34 @@ pub enum CheckpointProblem {
     NotFinite(String),
     /// It was trained for another task.
     #[error(
-        "it was trained for task `{found}`, this run is about `{expected}`; choose its checkpoint or teach the task"
+        "it was trained for {found}, this run is about `{expected}`; choose its checkpoint or teach the task"
     )]
     OtherTask {
-        /// In the file.
+        /// In the file, in words.
         found: String,
         /// Asked for.
         expected: String,
+    },
+    /// The state of a training with other data.
+    #[error(
+        "it was trained on other data of task `{task}` (hash {found}, the set at hand has {expected}); \
+         teach without resuming, or with the data of before"
+    )]
+    OtherData {
+        /// The task.
+        task: String,
+        /// Hash in the file.
+        found: String,
+        /// Hash of the set at hand.
+        expected: String,
+    },
+    /// The state of a training with other settings.
+    #[error(
+        "it belongs to a training with another {what}; teach with the same, or without resuming"
+    )]
+    OtherSettings {
+        /// Which setting, with both values where they are short.
+        what: String,
     },
     /// Its procedures differ from what the task has.
     #[error("it knows the procedures {found:?}, the task has {expected:?}; teach the task again")]

@@ -12,6 +12,7 @@ mod config;
 mod error;
 mod history;
 pub mod kernels;
+pub mod log;
 pub mod network;
 mod normaliser;
 mod observer;
@@ -25,7 +26,9 @@ mod samples;
 mod schedule;
 mod switch;
 pub mod synthetic;
+mod tasks;
 mod tensors;
+pub mod text;
 mod train;
 
 pub use allocator::tune_allocator;
@@ -41,6 +44,7 @@ pub use samples::{ProcedureData, TrainingSet};
 pub use schedule::{SamplingPlan, SamplingStep, Schedule};
 pub use switch::{
     SwitchConfig, SwitchCore, SwitchGuard, SwitchPolicy, SwitchReport, SwitchState,
-    SwitchTrainConfig, train_switch,
+    SwitchTrainConfig, train_switch, train_switch_tasks,
 };
-pub use train::{TrainProgress, train};
+pub use tasks::LearnedTask;
+pub use train::{TrainProgress, Training, train, train_tasks};

@@ -99,13 +99,17 @@ impl CandleNetwork {
         let history = Tensor::from_slice(batch.history, (b, h, POSE_DIM), device)?;
         let tokens =
             self.linear("history.1", &Self::gelu(&self.linear("history.0", &history)?)?)?;
+        let width = self.architecture.dimensions.text;
         let text = match batch.text {
-            Some(t) if self.architecture.dimensions.text > 0 => {
-                self.linear("text", &Tensor::from_slice(t, (1, t.len()), device)?)?
+            Some(t) if width > 0 => {
+                let table = Tensor::from_slice(t, (t.len() / width, width), device)?;
+                let tasks: Vec<u32> = batch.task.iter().map(|t| *t as u32).collect();
+                self.linear("text", &table)?
+                    .index_select(&Tensor::from_vec(tasks, b, device)?, 0)?
             }
-            _ => Tensor::zeros((1, d), candle_core::DType::F32, device)?,
+            _ => Tensor::zeros((b, d), candle_core::DType::F32, device)?,
         };
-        let text = text.unsqueeze(0)?.broadcast_as((b, 1, d))?;
+        let text = text.unsqueeze(1)?;
         let ids: Vec<u32> = batch.procedure.iter().map(|p| *p as u32).collect();
         let ids = Tensor::from_vec(ids, b, device)?;
         let procedure = self.get("procedures")?.index_select(&ids, 0)?.unsqueeze(1)?;
@@ -179,7 +183,8 @@ mod tests {
             }
             let (h, noisy, target) =
                 (random(3 * 5 * 9, 3), random(3 * 7 * 9, 4), random(3 * 7 * 9, 5));
-            let embedding = random(12, 6);
+            // Two tasks.
+            let embedding = random(2 * 12, 6);
             let batch = Batch {
                 len: 3,
                 history: &h,
@@ -187,6 +192,7 @@ mod tests {
                 noisy: &noisy,
                 step: &[0, 57, 99],
                 text: (text > 0).then_some(&embedding[..]),
+                task: &[1, 0, 1],
             };
             let candle = CandleNetwork::new(&a, &flat).unwrap();
             let out = candle.forward(&batch).unwrap();
@@ -241,6 +247,7 @@ mod tests {
             noisy: &noisy,
             step: &[3, 80],
             text: Some(&text),
+            task: &[0, 0],
         };
         let mut w = Workspace::new(&a, 2);
         let weights = [1.0; POSE_DIM];

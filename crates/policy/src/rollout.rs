@@ -77,6 +77,30 @@ pub struct RolloutReport {
 }
 
 impl RolloutReport {
+    /// Of the trials' final errors (m, rad).
+    ///
+    /// # Errors
+    /// [`PolicyError::Data`] without trials.
+    pub fn of(errors: &[(f64, f64)], c: &RolloutConfig) -> Result<Self, PolicyError> {
+        if errors.is_empty() {
+            return Err(PolicyError::Data { reason: "no trials to roll out".into() });
+        }
+        let (mut d, mut a): (Vec<f64>, Vec<f64>) = errors.iter().copied().unzip();
+        d.sort_by(f64::total_cmp);
+        a.sort_by(f64::total_cmp);
+        let within =
+            |(d, a): &&(f64, f64)| *d <= c.position_tolerance && *a <= c.rotation_tolerance;
+        let n = errors.len();
+        Ok(Self {
+            trials: n,
+            successes: errors.iter().filter(within).count(),
+            median_position: d[n / 2],
+            max_position: d[n - 1],
+            median_rotation: a[n / 2],
+            max_rotation: a[n - 1],
+        })
+    }
+
     /// Part of the trials that succeeded.
     pub fn success_rate(&self) -> f64 {
         self.successes as f64 / self.trials.max(1) as f64
@@ -109,6 +133,23 @@ pub fn rollout(
     Ok(path)
 }
 
+/// Final errors (m, rad) of all trials.
+///
+/// # Errors
+/// As [`Planner::plan`].
+pub fn errors(
+    planner: &mut Planner,
+    trials: &[RolloutTrial],
+    c: &RolloutConfig,
+    seed: u64,
+) -> Result<Vec<(f64, f64)>, PolicyError> {
+    let run = |(i, trial): (usize, &RolloutTrial)| {
+        let path = rollout(planner, trial, c, seed.wrapping_add(i as u64))?;
+        Ok(pose_distance(&path[path.len() - 1], &trial.goal))
+    };
+    trials.iter().enumerate().map(run).collect()
+}
+
 /// Runs all trials.
 ///
 /// # Errors
@@ -119,26 +160,5 @@ pub fn evaluate(
     c: &RolloutConfig,
     seed: u64,
 ) -> Result<RolloutReport, PolicyError> {
-    let (mut d, mut a, mut successes) = (Vec::new(), Vec::new(), 0);
-    for (i, trial) in trials.iter().enumerate() {
-        let path = rollout(planner, trial, c, seed.wrapping_add(i as u64))?;
-        let (dp, dr) = pose_distance(&path[path.len() - 1], &trial.goal);
-        successes += usize::from(dp <= c.position_tolerance && dr <= c.rotation_tolerance);
-        d.push(dp);
-        a.push(dr);
-    }
-    if trials.is_empty() {
-        return Err(PolicyError::Data { reason: "no trials to roll out".into() });
-    }
-    d.sort_by(f64::total_cmp);
-    a.sort_by(f64::total_cmp);
-    let n = trials.len();
-    Ok(RolloutReport {
-        trials: n,
-        successes,
-        median_position: d[n / 2],
-        max_position: d[n - 1],
-        median_rotation: a[n / 2],
-        max_rotation: a[n - 1],
-    })
+    RolloutReport::of(&errors(planner, trials, c, seed)?, c)
 }

@@ -112,7 +112,8 @@ impl TrainingSet {
         Ok(())
     }
 
-    /// FNV-1a over names and the bits of every number, as 16 hexadecimal digits.
+    /// FNV-1a over names and the bits of every number, the text embedding's included, as 16 hexadecimal
+    /// digits.
     pub fn content_hash(&self) -> String {
         let mut hash = 0xcbf2_9ce4_8422_2325_u64;
         let mut feed = |bytes: &[u8]| {
@@ -122,6 +123,9 @@ impl TrainingSet {
         };
         feed(self.task.as_bytes());
         feed(&self.dt.to_le_bytes());
+        for v in self.text_embedding.iter().flatten() {
+            feed(&v.to_le_bytes());
+        }
         for p in &self.procedures {
             feed(p.name.as_bytes());
             for t in &p.trajectories {
@@ -191,62 +195,73 @@ pub(crate) fn disturb(pose: &Pose, position: f64, rotation: f64, rng: &mut ChaCh
     )
 }
 
-/// Draws windows from a set.
-pub(crate) struct Windows<'a> {
-    set: &'a TrainingSet,
-    normalisers: &'a [Normaliser],
-    config: &'a PolicyConfig,
-    train: &'a TrainConfig,
-    /// Per procedure: where each trajectory's positions start in a running count, and their total.
-    starts: Vec<(Vec<usize>, usize)>,
+/// Where a window lies.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Place {
+    pub task: usize,
+    pub procedure: usize,
+    pub trajectory: usize,
+    pub position: usize,
 }
 
-impl<'a> Windows<'a> {
+/// Draws windows from the sets of one or more tasks.
+pub(crate) struct Windows {
+    sets: Vec<TrainingSet>,
+    /// Of each task, one per procedure.
+    normalisers: Vec<Vec<Normaliser>>,
+    history: usize,
+    train: TrainConfig,
+    /// Per task and procedure: where each trajectory's positions start in a running count, and their
+    /// total.
+    starts: Vec<Vec<(Vec<usize>, usize)>>,
+}
+
+impl Windows {
     pub fn new(
-        set: &'a TrainingSet,
-        normalisers: &'a [Normaliser],
-        config: &'a PolicyConfig,
-        train: &'a TrainConfig,
+        sets: Vec<TrainingSet>,
+        normalisers: Vec<Vec<Normaliser>>,
+        config: &PolicyConfig,
+        train: &TrainConfig,
     ) -> Self {
-        let starts = set
-            .procedures
-            .iter()
-            .map(|p| {
-                let mut total = 0;
-                let starts = p
-                    .trajectories
-                    .iter()
-                    .map(|t| {
-                        let start = total;
-                        total += t.len() + train.hold_samples;
-                        start
-                    })
-                    .collect();
-                (starts, total)
-            })
-            .collect();
-        Self { set, normalisers, config, train, starts }
+        let count = |p: &ProcedureData| {
+            let mut total = 0;
+            let starts = p
+                .trajectories
+                .iter()
+                .map(|t| {
+                    let start = total;
+                    total += t.len() + train.hold_samples;
+                    start
+                })
+                .collect();
+            (starts, total)
+        };
+        let starts = sets.iter().map(|s| s.procedures.iter().map(count).collect()).collect();
+        Self { sets, normalisers, history: config.history, train: train.clone(), starts }
     }
 
-    /// A random position: procedures equally often, positions within a procedure equally often.
-    pub fn draw(&self, rng: &mut ChaCha8Rng) -> (usize, usize, usize) {
-        let procedure = rng.random_range(0..self.starts.len());
-        let (starts, total) = &self.starts[procedure];
+    /// A random place: tasks equally often, procedures of a task equally often, positions within a
+    /// procedure equally often.
+    pub fn draw(&self, rng: &mut ChaCha8Rng) -> Place {
+        let many = self.starts.len() > 1;
+        let task = if many { rng.random_range(0..self.starts.len()) } else { 0 };
+        let procedure = rng.random_range(0..self.starts[task].len());
+        let (starts, total) = &self.starts[task][procedure];
         let position = rng.random_range(0..*total);
         let trajectory = starts.partition_point(|s| *s <= position) - 1;
-        (procedure, trajectory, position - starts[trajectory])
+        Place { task, procedure, trajectory, position: position - starts[trajectory] }
     }
 
     /// Writes the history `[history, 9]` and the future `[horizon, 9]` around a position.
     pub fn write(
         &self,
-        (procedure, trajectory, position): (usize, usize, usize),
+        Place { task, procedure, trajectory, position }: Place,
         rng: &mut ChaCha8Rng,
         history: &mut [f32],
         future: &mut [f32],
     ) {
-        let poses = &self.set.procedures[procedure].trajectories[trajectory];
-        let normaliser = &self.normalisers[procedure];
+        let poses = &self.sets[task].procedures[procedure].trajectories[trajectory];
+        let normaliser = &self.normalisers[task][procedure];
         let t = &self.train;
         let jitter = t.time_jitter;
         let (mut time, mut spacing) = (position as f64, 1.0);
@@ -254,7 +269,7 @@ impl<'a> Windows<'a> {
             time += rng.random_range(-jitter..jitter);
             spacing += rng.random_range(-jitter..jitter);
         }
-        let n = self.config.history;
+        let n = self.history;
         write_history(poses, normaliser, time, spacing, t, rng, history);
         let mut oldest = time - (n - 1) as f64 * spacing;
         if rng.random_bool(t.padding) {
@@ -298,14 +313,42 @@ pub(crate) fn write_history(
     let amount: f64 = rng.random();
     let drift =
         disturb(&Pose::identity(), t.drift_position * amount, t.drift_rotation * amount, rng);
-    for (i, out) in history.chunks_exact_mut(POSE_DIM).enumerate() {
-        let clean = pose_at(poses, time - (n - 1 - i) as f64 * spacing);
-        let shifted = Pose::from_parts(
-            (clean.translation.vector + drift.translation.vector).into(),
-            drift.rotation * clean.rotation,
-        );
-        let noisy = disturb(&shifted, t.noise_position, t.noise_rotation, rng);
-        out.copy_from_slice(&normaliser.encode(&noisy));
+    let mut seen: Vec<Pose> = (0..n)
+        .map(|i| {
+            let clean = pose_at(poses, time - (n - 1 - i) as f64 * spacing);
+            let shifted = Pose::from_parts(
+                (clean.translation.vector + drift.translation.vector).into(),
+                drift.rotation * clean.rotation,
+            );
+            disturb(&shifted, t.noise_position, t.noise_rotation, rng)
+        })
+        .collect();
+    if t.missing > 0.0 {
+        // The newest one is what the history ends at, so it is always there.
+        let there: Vec<bool> = (0..n).map(|i| !rng.random_bool(t.missing) || i + 1 == n).collect();
+        fill_gaps(&mut seen, &there);
+    }
+    for (out, pose) in history.chunks_exact_mut(POSE_DIM).zip(&seen) {
+        out.copy_from_slice(&normaliser.encode(pose));
+    }
+}
+
+/// Puts in place of poses that are not there what [`crate::HistoryBuffer`] would: the way between the
+/// neighbours, and the first one before it. The last one must be there.
+fn fill_gaps(poses: &mut [Pose], there: &[bool]) {
+    let Some(first) = there.iter().position(|t| *t) else { return };
+    let start = poses[first];
+    poses[..first].fill(start);
+    let mut before = first;
+    for i in first + 1..poses.len() {
+        if !there[i] {
+            continue;
+        }
+        let (a, b) = (poses[before], poses[i]);
+        for j in before + 1..i {
+            poses[j] = interpolate(&a, &b, (j - before) as f64 / (i - before) as f64);
+        }
+        before = i;
     }
 }
 
@@ -314,6 +357,55 @@ mod tests {
     use super::*;
     use crate::rng::{Stream, stream};
     use crate::synthetic;
+
+    /// No disturbance of any kind.
+    fn quiet() -> TrainConfig {
+        TrainConfig {
+            noise_position: 0.0,
+            noise_rotation: 0.0,
+            drift_position: 0.0,
+            drift_rotation: 0.0,
+            time_jitter: 0.0,
+            padding: 0.0,
+            missing: 0.0,
+            leave: 0.0,
+            ..TrainConfig::default()
+        }
+    }
+
+    /// Histories of a start are padded with their oldest pose, to any length; those with missing samples
+    /// are bent, but the newest pose and the future are as they were.
+    #[test]
+    fn padded_and_patchy_histories_end_at_the_same_pose() {
+        let set = synthetic::place_set(2, 1);
+        let config = PolicyConfig { dt: 0.1, ..PolicyConfig::small() };
+        let n = set.normalisers().unwrap();
+        let place = Place { task: 0, procedure: 0, trajectory: 0, position: 30 };
+        let draw = |t: &TrainConfig, seed: u64| {
+            let w = Windows::new(vec![set.clone()], vec![n.clone()], &config, t);
+            let (mut h, mut f) = (vec![0.0; 8 * 9], vec![0.0; 16 * 9]);
+            w.write(place, &mut stream(seed, Stream::Augmentation), &mut h, &mut f);
+            (h, f)
+        };
+        let (whole, future) = draw(&quiet(), 0);
+        let padded = TrainConfig { padding: 1.0, ..quiet() };
+        let patchy = TrainConfig { missing: 0.4, ..quiet() };
+        let (mut lengths, mut bent) = ([0; 9], 0);
+        for seed in 0..200 {
+            let (h, f) = draw(&padded, seed);
+            let own = h.chunks(9).zip(whole.chunks(9)).rev().take_while(|(a, b)| a == b).count();
+            lengths[own] += 1;
+            assert!(h[..(8 - own) * 9].chunks(9).all(|row| row == &h[(8 - own) * 9..][..9]));
+            assert_eq!(f, future);
+            let (h, f) = draw(&patchy, seed);
+            assert_eq!((&h[63..], &f), (&whole[63..], &future));
+            // Bent by no more than the way between the neighbours.
+            assert!(h.iter().zip(&whole).all(|(a, b)| (a - b).abs() < 0.6));
+            bent += usize::from(h != whole);
+        }
+        assert!(lengths[0] == 0 && lengths[1..].iter().all(|n| *n > 5), "{lengths:?}");
+        assert!(bent > 180, "{bent}");
+    }
 
     #[test]
     fn bad_sets_are_refused_by_name() {
@@ -334,27 +426,19 @@ mod tests {
     fn windows_hold_the_ends_and_follow_the_path() {
         let set = synthetic::place_set(3, 1);
         let config = PolicyConfig { dt: 0.1, ..PolicyConfig::small() };
-        let quiet = TrainConfig {
-            noise_position: 0.0,
-            noise_rotation: 0.0,
-            drift_position: 0.0,
-            drift_rotation: 0.0,
-            time_jitter: 0.0,
-            padding: 0.0,
-            leave: 0.0,
-            ..TrainConfig::default()
-        };
+        let quiet = quiet();
         let n = set.normalisers().unwrap();
-        let w = Windows::new(&set, &n, &config, &quiet);
+        let w = Windows::new(vec![set.clone()], vec![n.clone()], &config, &quiet);
+        let at = |position| Place { task: 0, procedure: 0, trajectory: 1, position };
         let mut rng = stream(1, Stream::Batch);
         let (mut h, mut f) = (vec![0.0; 8 * 9], vec![0.0; 16 * 9]);
-        w.write((0, 1, 0), &mut rng, &mut h, &mut f);
+        w.write(at(0), &mut rng, &mut h, &mut f);
         let poses = &set.procedures[0].trajectories[1];
         assert_eq!(h[..9], n[0].encode(&poses[0]));
         assert_eq!(h[63..], n[0].encode(&poses[0]));
         assert_eq!(f[..9], n[0].encode(&poses[1]));
         let end = poses.len() - 1;
-        w.write((0, 1, end + 9), &mut rng, &mut h, &mut f);
+        w.write(at(end + 9), &mut rng, &mut h, &mut f);
         assert_eq!(h[..9], n[0].encode(&poses[end]));
         assert_eq!(f[15 * 9..], n[0].encode(&poses[end]));
         // From rest the plan leaves at once, in motion and at the end it does not jump.
@@ -365,8 +449,55 @@ mod tests {
         assert_eq!(length(end as f64), 0.0);
         assert_eq!(length(end as f64 + 9.0), 0.0);
         for _ in 0..1000 {
-            let (p, t, at) = w.draw(&mut rng);
-            assert!(at < set.procedures[p].trajectories[t].len() + quiet.hold_samples);
+            let p = w.draw(&mut rng);
+            let t = &set.procedures[p.procedure].trajectories[p.trajectory];
+            assert!(p.position < t.len() + quiet.hold_samples);
+        }
+    }
+
+    #[test]
+    fn tasks_and_their_procedures_are_drawn_equally_often() {
+        // Sizes that differ by far, and two procedures against one.
+        let mut many = synthetic::place_set(40, 1);
+        many.task = "many".into();
+        let few = synthetic::reach_and_place_set(2, 2);
+        let config = PolicyConfig { dt: 0.1, ..PolicyConfig::small() };
+        let n = vec![many.normalisers().unwrap(), few.normalisers().unwrap()];
+        let w = Windows::new(vec![many, few], n, &config, &TrainConfig::default());
+        let mut rng = stream(1, Stream::Batch);
+        let mut counts = [[0usize; 2]; 2];
+        for _ in 0..4000 {
+            let p = w.draw(&mut rng);
+            counts[p.task][p.procedure] += 1;
+        }
+        assert!((1800..2200).contains(&counts[0][0]), "{counts:?}");
+        assert!((850..1150).contains(&counts[1][0]), "{counts:?}");
+        assert!((850..1150).contains(&counts[1][1]), "{counts:?}");
+    }
+
+    /// What a training calls a missing sample is what the buffer makes of one that did not come in.
+    #[test]
+    fn gaps_are_filled_as_the_history_buffer_fills_them() {
+        let set = synthetic::place_set(1, 1);
+        let poses = &set.procedures[0].trajectories[0][10..18];
+        for there in [
+            [true, false, true, true, false, false, false, true],
+            [false, false, true, false, true, true, false, true],
+            [false, false, false, false, false, false, false, true],
+        ] {
+            let mut filled = poses.to_vec();
+            fill_gaps(&mut filled, &there);
+            let config = crate::HistoryConfig { length: 8, dt: 0.1, max_gap: 2.0 };
+            let mut buffer = crate::HistoryBuffer::new(config).unwrap();
+            for (i, (pose, there)) in poses.iter().zip(there).enumerate() {
+                if there {
+                    buffer.push(tdv_geometry::Stamp::from_secs(i as f64 * 0.1), pose).unwrap();
+                }
+            }
+            for (a, b) in filled.iter().zip(buffer.poses().unwrap()) {
+                let (d, r) = tdv_geometry::pose_distance(a, &b);
+                assert!(d < 1e-6 && r < 1e-6, "{d} {r}");
+            }
         }
     }
 }

@@ -107,6 +107,39 @@ pub fn reach_and_place_set(count: usize, seed: u64) -> TrainingSet {
     set(place.procedures)
 }
 
+/// Two tasks in the same scene, `left` and `right`: from the same starts to goals 20 cm to either side,
+/// each with an embedding of 16 numbers. Their normalisers are nearly the same, so that only the
+/// embedding tells them apart.
+pub fn two_goal_sets(count: usize, seed: u64) -> [TrainingSet; 2] {
+    let towards = |name: &str, side: f64, phase: f32| {
+        let place = place_set(count, seed).procedures.remove(0);
+        let end = demonstration(1.0).translation.vector;
+        let trajectories = place
+            .trajectories
+            .iter()
+            .map(|t| {
+                // The goal moves aside and the start stays: the offset grows along the path.
+                let length = |p: &Pose| (p.translation.vector - end).norm();
+                let far = length(&t[0]).max(1e-6);
+                t.iter()
+                    .map(|p| {
+                        let s = smooth_step((1.0 - length(p) / far).clamp(0.0, 1.0));
+                        let moved = p.translation.vector + Vector3::new(0.0, side * s, 0.0);
+                        Pose::from_parts(moved.into(), p.rotation)
+                    })
+                    .collect()
+            })
+            .collect();
+        let mut set = set(vec![ProcedureData { name: "place".into(), trajectories }]);
+        set.task = name.into();
+        set.text = format!("put it on the {name}");
+        set.text_embedding = Some((0..16).map(|i| (phase + i as f32).sin()).collect());
+        set.dataset_hash = set.content_hash();
+        set
+    };
+    [towards("left", 0.2, 0.0), towards("right", -0.2, 2.0)]
+}
+
 fn set(procedures: Vec<ProcedureData>) -> TrainingSet {
     let mut set = TrainingSet {
         task: "synthetic".into(),

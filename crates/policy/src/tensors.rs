@@ -95,6 +95,11 @@ impl<'a> Loaded<'a> {
         Ok((Self { path, tensors }, metadata))
     }
 
+    /// What is wrong with this file, as an error.
+    pub fn refuse(&self, problem: CheckpointProblem) -> PolicyError {
+        refuse(self.path, problem)
+    }
+
     /// Copies a tensor of the given shape.
     pub fn read(&self, name: &str, shape: &[usize], into: &mut [f32]) -> Result<(), PolicyError> {
         let fail = |p: CheckpointProblem| Err(refuse(self.path, p));

@@ -36,11 +36,28 @@ pub enum Command {
 #[derive(Args, Clone)]
 pub struct TeachArgs {
     /// Task file
-    #[arg(long)]
+    #[arg(
+        long,
+        required_unless_present = "multi",
+        default_value = "(by --multi)",
+        hide_default_value = true
+    )]
     pub task: PathBuf,
     /// Recording: a rosbag2 folder or .mcap file with colour, aligned depth, camera_info and /tf_static
-    #[arg(long, required_unless_present = "import_dexmv", conflicts_with = "import_dexmv")]
+    #[arg(
+        long,
+        required_unless_present_any = ["import_dexmv", "multi"],
+        conflicts_with = "import_dexmv"
+    )]
     pub bag: Option<PathBuf>,
+    /// Instead of a recording: names of tasks that were taught before, to be shared by one policy
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "TASK,TASK",
+        conflicts_with_all = ["task", "bag", "import_dexmv"]
+    )]
+    pub multi: Vec<String>,
     /// Instead of a bag: the JSON file with the parsed DexMV mustard recording
     #[arg(long)]
     pub import_dexmv: Option<PathBuf>,
@@ -56,12 +73,41 @@ pub struct TeachArgs {
     /// Trajectories to make of the one [default: as the task file says]
     #[arg(long)]
     pub count: Option<usize>,
-    /// Training steps
-    #[arg(long, default_value_t = 600)]
-    pub steps: usize,
+    #[command(flatten)]
+    pub training: TrainingArgs,
     /// Seed of every random choice
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+}
+
+#[derive(Args, Clone)]
+pub struct TrainingArgs {
+    /// Training steps at most
+    #[arg(long, default_value_t = 600)]
+    pub steps: usize,
+    /// Train all steps, also when rollouts on unseen starts are good before
+    #[arg(long)]
+    pub all_steps: bool,
+    /// Go on from the state that a training in the same folder left
+    #[arg(long)]
+    pub resume: bool,
+    /// Steps between states on the disk
+    #[arg(long, default_value_t = 100, value_parser = steps)]
+    pub save_every: usize,
+    /// Folder of the sentence encoder: config.json, vocab.txt or tokenizer.json, model.safetensors
+    #[arg(long, default_value = "models/text")]
+    pub text_model: PathBuf,
+    /// The encoder's first token stands for the sentence, as plain BERT wants it, not the mean of all
+    #[arg(long)]
+    pub text_cls: bool,
+}
+
+fn steps(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(0) => Err("at least 1".into()),
+        Ok(n) => Ok(n),
+        Err(e) => Err(format!("{e}")),
+    }
 }
 
 #[derive(Args)]
@@ -258,6 +304,9 @@ pub enum BagCommand {
 
 #[derive(Args)]
 pub struct DoctorArgs {
+    /// Folder of the sentence encoder
+    #[arg(long, default_value = "models/text")]
+    pub text_model: PathBuf,
     /// Folder of the hand networks
     #[arg(long, default_value = "models/hands")]
     pub hand_models: PathBuf,

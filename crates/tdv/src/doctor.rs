@@ -4,6 +4,7 @@ use std::path::Path;
 use std::process::Command;
 use tdv_perception::Catalogue;
 use tdv_perception::hands::HandDetector;
+use tdv_policy::text::{Pooling, TextEncoder};
 use tdv_runtime::Environment;
 
 struct Findings {
@@ -46,6 +47,13 @@ pub fn run(args: &DoctorArgs) -> anyhow::Result<bool> {
             .map(|_| args.hand_models.display().to_string())
             .map_err(|e| format!("{e}; launch_scripts/fetch_hand_models.sh gets them")),
         true,
+    );
+    let text = TextEncoder::load(&args.text_model, Pooling::Mean);
+    f.say(
+        "sentence encoder",
+        text.map(|_| args.text_model.display().to_string())
+            .map_err(|e| format!("{e}; launch_scripts/fetch_text_model.sh gets one")),
+        false,
     );
     for (what, port) in [("RTDE", 30004), ("gripper", 63352), ("dashboard", 29999)] {
         f.say(

@@ -16,7 +16,9 @@ mod record;
 mod record_demo;
 mod report;
 mod teach;
+mod teach_multi;
 mod tracking;
+mod training;
 
 use arguments::{Arguments, BagCommand, Command, EvalCommand};
 use clap::Parser as _;

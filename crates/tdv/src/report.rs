@@ -62,10 +62,12 @@ pub fn write(path: &Path, lesson: &Lesson) -> anyhow::Result<()> {
             vec![
                 "switch policy on held-out trajectories".into(),
                 format!(
-                    "precision {:.2}, recall {:.2}, median delay {:.0} ms, {} missed, {} too early",
+                    "precision {:.2}, recall {:.2}, delay {:.0} ms in the median, {:.0} ms in nine of \
+                     ten, {} missed, {} too early",
                     lesson.switch.precision,
                     lesson.switch.recall,
                     1e3 * lesson.switch.median_delay,
+                    1e3 * lesson.switch.delay_90,
                     lesson.switch.missed,
                     lesson.switch.premature
                 ),

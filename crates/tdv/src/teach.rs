@@ -1,6 +1,7 @@
 use crate::arguments::TeachArgs;
-use crate::observe::{Observed, bar, observe};
+use crate::observe::{Observed, observe};
 use crate::report;
+use crate::training::{Learned, embed, learn};
 use anyhow::{Context as _, bail};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -9,10 +10,7 @@ use tdv_demonstration::{
     generate_with, mustard, parse,
 };
 use tdv_policy::rollout::{RolloutConfig, RolloutTrial, evaluate};
-use tdv_policy::{
-    Planner, PlannerConfig, PolicyConfig, SwitchTrainConfig, TrainConfig, TrainProgress,
-    TrainingSet, train, train_switch,
-};
+use tdv_policy::{Planner, PlannerConfig, TrainProgress, TrainingSet};
 use tdv_robot::Kinematics;
 
 /// What the report page shows.
@@ -33,6 +31,9 @@ pub struct Lesson {
 
 /// The whole way from recording to policy. Returns the model folder.
 pub fn run(args: &TeachArgs) -> anyhow::Result<PathBuf> {
+    if !args.multi.is_empty() {
+        return crate::teach_multi::run(&args.multi, args);
+    }
     let task = Task::load(&args.task)?;
     let out = args.out.clone().unwrap_or_else(|| Path::new("models").join(&task.name));
     let mut seconds = Vec::new();
@@ -44,39 +45,16 @@ pub fn run(args: &TeachArgs) -> anyhow::Result<PathBuf> {
     }
 
     let began = Instant::now();
-    let count = args.count.unwrap_or(task.generation.count);
-    let kinematics = Kinematics::ur5();
-    let reachable = |pose: &tdv_geometry::Pose| {
-        if kinematics.ik_tcp(pose).is_empty() { Err("unreachable".to_owned()) } else { Ok(()) }
-    };
-    let options = GenerateOptions { reachable: Some(&reachable), ..Default::default() };
-    let (dataset, generation) = generate_with(&demonstration, &task, count, args.seed, &options)?;
+    let (dataset, generation) = dataset(&demonstration, &task, args)?;
     seconds.push(("generate", began.elapsed().as_secs_f64()));
-    for p in &generation.procedures {
-        println!("  {}", report::describe(p));
-    }
 
     let began = Instant::now();
-    let set = TrainingSet::from(&dataset);
-    let policy_config = PolicyConfig::small();
-    let train_config = TrainConfig {
-        steps: args.steps,
-        seed: args.seed,
-        noise_position: dataset.noise.position.max(0.001),
-        noise_rotation: dataset.noise.angle.max(0.005),
-        threads: 2,
-        ..Default::default()
-    };
-    let progress_bar = bar(args.steps as u64, "training");
-    let mut progress = Vec::new();
-    let policy = train(&set, &policy_config, &train_config, &mut |p| {
-        progress_bar.set_position(p.step as u64);
-        progress.push(p.clone());
-    })?;
-    progress_bar.finish_and_clear();
-    let switch_config = SwitchTrainConfig { seed: args.seed, ..Default::default() };
-    let (switch_policy, switch) =
-        train_switch(&set, &policy_config, &train_config, &switch_config)?;
+    let mut sets = [TrainingSet::from(&dataset)];
+    embed(&mut sets, &args.training)?;
+    let noise = (dataset.noise.position, dataset.noise.angle);
+    let Learned { policy, switch: switch_policy, mut reports, progress } =
+        learn(&sets, noise, &args.training, args.seed, &out)?;
+    let switch = reports.pop().context("no report on the switch policy")?;
     seconds.push(("train", began.elapsed().as_secs_f64()));
 
     let rollout = rollouts(&policy, &demonstration, &task, args)?;
@@ -86,7 +64,6 @@ pub fn run(args: &TeachArgs) -> anyhow::Result<PathBuf> {
             100.0 * rollout.success_rate()
         );
     }
-    std::fs::create_dir_all(&out).with_context(|| out.display().to_string())?;
     demonstration.save(&out.join("demonstration.json"))?;
     policy.save(&out.join("policy.safetensors"))?;
     switch_policy.save(&out.join("switch.safetensors"))?;
@@ -141,8 +118,27 @@ fn demonstration(
     Ok((observed, demonstration, report))
 }
 
+/// Trajectories from reachable starts, made of the demonstration.
+pub fn dataset(
+    demonstration: &Demonstration,
+    task: &Task,
+    args: &TeachArgs,
+) -> anyhow::Result<(tdv_demonstration::Dataset, tdv_demonstration::GenerationReport)> {
+    let count = args.count.unwrap_or(task.generation.count);
+    let kinematics = Kinematics::ur5();
+    let reachable = |pose: &tdv_geometry::Pose| {
+        if kinematics.ik_tcp(pose).is_empty() { Err("unreachable".to_owned()) } else { Ok(()) }
+    };
+    let options = GenerateOptions { reachable: Some(&reachable), ..Default::default() };
+    let (dataset, generation) = generate_with(demonstration, task, count, args.seed, &options)?;
+    for p in &generation.procedures {
+        println!("  {}", report::describe(p));
+    }
+    Ok((dataset, generation))
+}
+
 /// Kinematic rollouts from starts that the training set does not have.
-fn rollouts(
+pub fn rollouts(
     policy: &tdv_policy::TrainedPolicy,
     demonstration: &Demonstration,
     task: &Task,

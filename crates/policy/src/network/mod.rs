@@ -9,6 +9,8 @@
 //! The graph is fixed, so the training step is written by hand over a preallocated workspace.
 
 mod block;
+#[cfg(test)]
+mod golden;
 mod layout;
 mod model;
 

@@ -21,8 +21,10 @@ pub struct Batch<'a> {
     pub noisy: &'a [f32],
     /// Diffusion step of each sample.
     pub step: &'a [usize],
-    /// Text embedding shared by all, if the network takes one.
+    /// Text embeddings of the tasks `[tasks, text]`, if the network takes one.
     pub text: Option<&'a [f32]>,
+    /// Task of each sample, a row of `text`.
+    pub task: &'a [usize],
 }
 
 /// Cosine and sine features of a diffusion step.
@@ -42,7 +44,8 @@ pub struct Workspace {
     history_u: Vec<f32>,
     history_h: Vec<f32>,
     history_out: Vec<f32>,
-    text_token: Vec<f32>,
+    /// One per task, `[tasks, d]`.
+    text_tokens: Vec<f32>,
     encoder: Vec<Block>,
     encoder_scratch: Scratch,
     encoded: Vec<f32>,
@@ -80,7 +83,7 @@ impl Workspace {
             history_u: zeros(c.history * d),
             history_h: zeros(c.history * d),
             history_out: zeros(c.history * d),
-            text_token: vec![0.0; d],
+            text_tokens: vec![0.0; d],
             encoder: blocks(c.encoder_layers, tokens),
             encoder_scratch: Scratch::new(capacity, tokens, d, heads),
             encoded: zeros(tokens * d),
@@ -122,9 +125,11 @@ impl Workspace {
         let wide = rows * d;
         bias_gelu(&mut self.history_u[..wide], first.bias.of(p), &mut self.history_h[..wide]);
         linear(second, p, &self.history_h, &mut self.history_out, rows);
-        self.text_token.fill(0.0);
+        self.text_tokens.fill(0.0);
         if let (Some(l), Some(text)) = (&a.text, b.text) {
-            linear(l, p, text, &mut self.text_token, 1);
+            let tasks = text.len() / l.inputs;
+            self.text_tokens.resize(tasks * d, 0.0);
+            linear(l, p, text, &mut self.text_tokens, tasks);
         }
         let (positions, modalities) = (a.positions.of(p), a.modalities.of(p));
         let x = &mut self.encoder[0].x;
@@ -134,7 +139,11 @@ impl Workspace {
             add(&self.history_out[i * h * d..][..h * d], &mut x[..h * d]);
             add_rows(&modalities[..d], &mut x[..h * d]);
             let (text, procedure) = x[h * d..].split_at_mut(d);
-            add(&self.text_token, text);
+            if let Some(l) = &a.text
+                && b.text.is_some()
+            {
+                add(&self.text_tokens[b.task[i] * l.outputs..][..d], text);
+            }
             add(&modalities[d..2 * d], text);
             add(&a.procedures.of(p)[b.procedure[i] * d..][..d], procedure);
             add(&modalities[2 * d..], procedure);
@@ -306,19 +315,21 @@ impl Workspace {
             norms_backward(dm, d, b.len, norms.of_mut(grads));
         }
         column_sums(dx, a.positions.of_mut(grads));
-        let dtext = &mut self.text_token;
+        let dtext = &mut self.text_tokens;
         dtext.fill(0.0);
         for (i, dx) in dx.chunks_exact(tokens * d).enumerate() {
             let modalities = a.modalities.of_mut(grads);
             column_sums(&dx[..h * d], &mut modalities[..d]);
             add(&dx[h * d..][..d], &mut modalities[d..2 * d]);
             add(&dx[(h + 1) * d..], &mut modalities[2 * d..]);
-            add(&dx[h * d..][..d], dtext);
+            if b.text.is_some() {
+                add(&dx[h * d..][..d], &mut dtext[b.task[i] * d..][..d]);
+            }
             add(&dx[(h + 1) * d..], &mut a.procedures.of_mut(grads)[b.procedure[i] * d..][..d]);
             self.history_out[i * h * d..][..h * d].copy_from_slice(&dx[..h * d]);
         }
         if let (Some(l), Some(text)) = (&a.text, b.text) {
-            linear_backward(l, p, grads, text, dtext, 1, None);
+            linear_backward(l, p, grads, text, dtext, text.len() / l.inputs, None);
         }
         let [first, second] = &a.history;
         let g = &mut self.small[..rows * d];

@@ -251,6 +251,7 @@ mod tests {
                     noisy: &noisy,
                     step: &[*k],
                     text: Some(&text),
+                    task: &[0],
                 };
                 let want = candle.forward(&batch).unwrap().flatten_all().unwrap();
                 for (a, b) in fast.result.iter().zip(want.to_vec1::<f32>().unwrap()) {

@@ -1,8 +1,8 @@
 //! The classifier's file.
 
-use super::policy::{SwitchBuffers, SwitchLayout, SwitchPolicy};
-use crate::checkpoint::require;
-use crate::normaliser::POSE_DIM;
+use super::policy::{SwitchLayout, SwitchPolicy};
+use crate::checkpoint::{read_tasks, require};
+use crate::tasks::{TaskMetadata, embedding_name};
 use crate::tensors::{Loaded, Named, refuse, to_bytes, write_atomically};
 use crate::{CheckpointProblem, Normaliser, PolicyError};
 use serde::{Deserialize, Serialize};
@@ -13,7 +13,6 @@ use tdv_geometry::Pose;
 const KEY: &str = "tdv_switch";
 const WHAT: &str = "switch policy";
 const FORMAT: u32 = 1;
-const TEXT: &str = "text_embedding";
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -27,6 +26,10 @@ struct Metadata {
     normalisers: Vec<Normaliser>,
     end_poses: Vec<Pose>,
     dataset_hash: String,
+    #[serde(default)]
+    text: String,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    others: Vec<TaskMetadata>,
     metrics: BTreeMap<String, f64>,
 }
 
@@ -46,6 +49,8 @@ impl SwitchPolicy {
             normalisers: self.normalisers.clone(),
             end_poses: self.end_poses.clone(),
             dataset_hash: self.dataset_hash.clone(),
+            text: self.text.clone(),
+            others: self.others.iter().map(TaskMetadata::of).collect(),
             metrics: self.metrics.clone(),
         };
         let metadata = serde_json::to_string(&metadata)
@@ -57,8 +62,14 @@ impl SwitchPolicy {
             .map(|p| Named { name: &p.name, shape: &p.shape, values: p.slot.of(&self.weights) })
             .collect();
         let shape = [self.layout.text];
-        if let Some(e) = &self.text_embedding {
-            tensors.push(Named { name: TEXT, shape: &shape, values: e });
+        let others = self.others.iter().map(|t| &t.text_embedding);
+        let embeddings: Vec<_> = std::iter::once(&self.text_embedding)
+            .chain(others)
+            .enumerate()
+            .filter_map(|(i, e)| e.as_ref().map(|e| (embedding_name(i), e)))
+            .collect();
+        for (name, values) in &embeddings {
+            tensors.push(Named { name, shape: &shape, values });
         }
         let bytes = to_bytes(KEY, metadata, &tensors).map_err(|p| refuse(path, p))?;
         write_atomically(path, &bytes)
@@ -72,53 +83,48 @@ impl SwitchPolicy {
         let bytes = std::fs::read(path).map_err(|e| refuse(path, e))?;
         let (file, m) = Loaded::parse::<Metadata>(path, &bytes, KEY, WHAT, FORMAT)?;
         let broken = |text: &str| refuse(path, CheckpointProblem::Metadata(text.into()));
-        let count = m.procedures.len();
-        if count == 0 || m.normalisers.len() != count || m.end_poses.len() != count {
-            return Err(broken("procedures, normalisers and end poses differ in number"));
+        if !(m.dt.is_finite() && m.dt > 0.0) {
+            return Err(broken("dt is not a sensible number"));
         }
-        if !m.normalisers.iter().all(Normaliser::is_valid) || !(m.dt.is_finite() && m.dt > 0.0) {
-            return Err(broken("normaliser limits or dt are not sensible numbers"));
+        if !(1..=64).contains(&m.history) || m.text_dim > 1 << 16 {
+            return Err(broken("history or text_dim is out of range"));
         }
-        if !(1..=64).contains(&m.history) || m.text_dim > 1 << 16 || count > 4096 {
-            return Err(broken("history, text_dim or the number of procedures is out of range"));
+        let first = TaskMetadata::parts(
+            m.task,
+            m.text,
+            m.procedures,
+            m.normalisers,
+            m.end_poses,
+            m.dataset_hash,
+        );
+        let tasks = read_tasks(&file, std::iter::once(first).chain(m.others), m.text_dim)?;
+        let count = tasks.iter().map(|t| t.procedures.len()).max().unwrap_or(0);
+        if count > 4096 {
+            return Err(broken("the number of procedures is out of range"));
         }
         let layout = SwitchLayout::new(m.history, m.text_dim, count);
         let mut weights = vec![0.0; layout.len];
         for p in &layout.parameters {
             file.read(&p.name, &p.shape, p.slot.of_mut(&mut weights))?;
         }
-        let mut text_embedding = None;
-        if m.text_dim > 0 {
-            let mut e = vec![0.0; m.text_dim];
-            file.read(TEXT, &[m.text_dim], &mut e)?;
-            text_embedding = Some(e);
-        }
         file.only(|name| {
-            (name == TEXT && m.text_dim > 0) || layout.parameters.iter().any(|p| p.name == name)
+            (m.text_dim > 0 && (0..tasks.len()).any(|i| embedding_name(i) == name))
+                || layout.parameters.iter().any(|p| p.name == name)
         })?;
-        Ok(Self {
-            buffers: SwitchBuffers::new(&layout, 1),
-            encoded: vec![0.0; m.history * POSE_DIM],
-            weights,
-            normalisers: m.normalisers,
-            task: m.task,
-            procedures: m.procedures,
-            end_poses: m.end_poses,
-            text_embedding,
-            dt: m.dt,
-            dataset_hash: m.dataset_hash,
-            metrics: m.metrics,
-            layout,
-        })
+        Self::of(layout, weights, &tasks, m.dt, m.metrics)
     }
 
-    /// As [`SwitchPolicy::load`], refusing a policy of another task or with other procedures.
+    /// As [`SwitchPolicy::load`], choosing a task and refusing a policy that does not know it or has
+    /// other procedures for it.
     ///
     /// # Errors
     /// [`PolicyError::Checkpoint`].
     pub fn load_for(path: &Path, task: &str, procedures: &[&str]) -> Result<Self, PolicyError> {
-        let policy = Self::load(path)?;
-        require(path, &policy.task, &policy.procedures, task, procedures)?;
+        let mut policy = Self::load(path)?;
+        if policy.others.iter().any(|t| t.task == task) {
+            policy = policy.choose(task)?;
+        }
+        require(path, policy.tasks(), &policy.procedures, task, procedures)?;
         Ok(policy)
     }
 }

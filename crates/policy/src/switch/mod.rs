@@ -8,4 +8,4 @@ mod train;
 
 pub use self::core::{SwitchConfig, SwitchCore, SwitchGuard, SwitchState};
 pub use policy::SwitchPolicy;
-pub use train::{SwitchReport, SwitchTrainConfig, train_switch};
+pub use train::{SwitchReport, SwitchTrainConfig, train_switch, train_switch_tasks};

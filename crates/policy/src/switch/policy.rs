@@ -3,6 +3,7 @@
 use crate::kernels::{bias_gelu, gelu_backward, matmul, matmul_nt, matmul_tn};
 use crate::network::{Builder, Init, Linear, Parameter, Slot, linear, linear_backward};
 use crate::normaliser::{POSE_DIM, finite};
+use crate::tasks::LearnedTask;
 use crate::{Normaliser, PolicyError};
 use std::collections::BTreeMap;
 use tdv_geometry::Pose;
@@ -38,6 +39,19 @@ impl SwitchLayout {
     }
 }
 
+/// Embeddings of the tasks, one after the other, and which of them each sample is about.
+#[derive(Clone, Copy)]
+pub(crate) struct Texts<'a> {
+    pub table: &'a [f32],
+    pub task: &'a [usize],
+}
+
+impl<'a> Texts<'a> {
+    fn of(&self, sample: usize, width: usize) -> &'a [f32] {
+        if width == 0 { &[] } else { &self.table[self.task[sample] * width..][..width] }
+    }
+}
+
 /// Intermediate values of up to a number of samples.
 #[derive(Debug, Clone)]
 pub(crate) struct SwitchBuffers {
@@ -69,16 +83,13 @@ impl SwitchBuffers {
         p: &[f32],
         histories: &[f32],
         procedures: &[usize],
-        text: Option<&[f32]>,
+        text: Texts,
     ) {
         let (n, inputs, width) = (procedures.len(), l.layers[0].inputs, l.history * POSE_DIM);
-        for ((x, h), s) in
-            self.x.chunks_exact_mut(inputs).zip(histories.chunks_exact(width)).zip(procedures)
-        {
+        let rows = self.x.chunks_exact_mut(inputs).zip(histories.chunks_exact(width));
+        for (i, ((x, h), s)) in rows.zip(procedures).enumerate() {
             x[..width].copy_from_slice(h);
-            if let Some(text) = text {
-                x[width..width + l.text].copy_from_slice(text);
-            }
+            x[width..width + l.text].copy_from_slice(text.of(i, l.text));
             x[width + l.text..].copy_from_slice(&l.embedding.of(p)[s * EMBEDDING..][..EMBEDDING]);
         }
         for i in 0..2 {
@@ -122,7 +133,8 @@ impl SwitchBuffers {
     }
 }
 
-/// The trained classifier of all procedures of a task.
+/// The trained classifier of all procedures of a task. One that was taught several tasks judges one of
+/// them at a time: the fields are those of that one, [`SwitchPolicy::choose`] takes another.
 #[derive(Debug, Clone)]
 pub struct SwitchPolicy {
     pub(crate) layout: SwitchLayout,
@@ -141,6 +153,10 @@ pub struct SwitchPolicy {
     pub dt: f64,
     /// Hash of the data set.
     pub dataset_hash: String,
+    /// The task in words.
+    pub text: String,
+    /// The other tasks that the same network knows.
+    pub others: Vec<LearnedTask>,
     /// Figures of the training by name.
     pub metrics: BTreeMap<String, f64>,
     pub(crate) buffers: SwitchBuffers,
@@ -148,6 +164,63 @@ pub struct SwitchPolicy {
 }
 
 impl SwitchPolicy {
+    /// A classifier with the tasks that it was taught; the first one is chosen.
+    pub(crate) fn of(
+        layout: SwitchLayout,
+        weights: Vec<f32>,
+        tasks: &[LearnedTask],
+        dt: f64,
+        metrics: BTreeMap<String, f64>,
+    ) -> Result<Self, PolicyError> {
+        let Some((first, others)) = tasks.split_first() else {
+            return Err(PolicyError::Data { reason: "there is no task".into() });
+        };
+        let t = first.clone();
+        Ok(Self {
+            buffers: SwitchBuffers::new(&layout, 1),
+            encoded: vec![0.0; layout.history * POSE_DIM],
+            weights,
+            normalisers: t.normalisers,
+            task: t.task,
+            text: t.text,
+            procedures: t.procedures,
+            end_poses: t.end_poses,
+            text_embedding: t.text_embedding,
+            dataset_hash: t.dataset_hash,
+            others: others.to_vec(),
+            dt,
+            metrics,
+            layout,
+        })
+    }
+
+    /// Names of all tasks that the network knows, the chosen one first.
+    pub fn tasks(&self) -> impl Iterator<Item = &str> {
+        std::iter::once(self.task.as_str()).chain(self.others.iter().map(|t| t.task.as_str()))
+    }
+
+    /// The same network for another of its tasks.
+    ///
+    /// # Errors
+    /// [`PolicyError::UnknownTask`] naming those that it knows.
+    pub fn choose(mut self, task: &str) -> Result<Self, PolicyError> {
+        if self.task == task {
+            return Ok(self);
+        }
+        let Some(other) = self.others.iter_mut().find(|t| t.task == task) else {
+            let known = self.tasks().map(str::to_owned).collect();
+            return Err(PolicyError::UnknownTask { task: task.into(), known });
+        };
+        std::mem::swap(&mut self.task, &mut other.task);
+        std::mem::swap(&mut self.text, &mut other.text);
+        std::mem::swap(&mut self.text_embedding, &mut other.text_embedding);
+        std::mem::swap(&mut self.procedures, &mut other.procedures);
+        std::mem::swap(&mut self.normalisers, &mut other.normalisers);
+        std::mem::swap(&mut self.end_poses, &mut other.end_poses);
+        std::mem::swap(&mut self.dataset_hash, &mut other.dataset_hash);
+        Ok(self)
+    }
+
     /// Poses that a history must have.
     pub fn history_len(&self) -> usize {
         self.layout.history
@@ -173,7 +246,7 @@ impl SwitchPolicy {
             finite(pose, || format!("pose {i} of the history"))?;
             out.copy_from_slice(&normaliser.encode(pose));
         }
-        let text = self.text_embedding.as_deref();
+        let text = Texts { table: self.text_embedding.as_deref().unwrap_or_default(), task: &[0] };
         self.buffers.forward(&self.layout, &self.weights, &self.encoded, &[procedure], text);
         Ok(1.0 / (1.0 + (-self.buffers.logits[0]).exp()))
     }
@@ -190,11 +263,12 @@ mod tests {
     fn gradients_match_differences() {
         let l = SwitchLayout::new(2, 3, 2);
         let p = initial(&l.parameters, l.len, stream(1, Stream::Switch));
-        let (h, text, w) = (random(3 * 18, 1), random(3, 2), random(3, 3));
+        let (h, table, w) = (random(3 * 18, 1), random(2 * 3, 2), random(3, 3));
+        let text = Texts { table: &table, task: &[1, 0, 1] };
         let ids = [0, 1, 1];
         let mut b = SwitchBuffers::new(&l, 4);
         let mut grads = vec![0.0; l.len];
-        b.forward(&l, &p, &h, &ids, Some(&text));
+        b.forward(&l, &p, &h, &ids, text);
         b.logits[..3].copy_from_slice(&w);
         b.backward(&l, &p, &ids, &mut grads);
         for parameter in &l.parameters {
@@ -211,7 +285,7 @@ mod tests {
                 for (i, v) in pick.iter().zip(x) {
                     slot.of_mut(&mut q)[*i] = *v;
                 }
-                b.forward(&l, &q, &h, &ids, Some(&text));
+                b.forward(&l, &q, &h, &ids, text);
                 check::dot(&b.logits[..3], &w)
             });
         }
