@@ -127,15 +127,15 @@ fn the_mug_is_carried_full_and_poured_out() {
     let (mug, tumbler) = (pose(&s, "mug"), pose(&s, "tumbler"));
     assert!(take(&mut s, &mug, [0.0, 0.0, 0.050], 0.0) && s.lab.held("mug").unwrap());
     let grip = pose(&s, "mug").inverse() * s.tcp;
-    assert!(s.go(over(&mug, [0.0, 0.0, 0.25], 0.0)));
+    assert!(s.go(over(&mug, [0.0, 0.0, 0.26], 0.0)));
     let t = tumbler.translation;
-    let upright = Pose::translation(t.x + 0.075, t.y, 0.18);
+    let upright = Pose::translation(t.x + 0.080, t.y, 0.20);
     assert!(s.go(upright * grip));
     let kept = drops_in(&s, "mug", 0.030, 0.085);
     println!("{kept} drops left after the carry");
     assert!(kept >= 118 && !s.lab.trial().success, "{kept}");
-    let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), -1.98);
-    let rim = Vector3::new(t.x + 0.015, t.y, 0.150);
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), -1.75);
+    let rim = Vector3::new(t.x + 0.024, t.y, 0.200);
     let tilted = Pose::from_parts((rim - turn * Vector3::new(-0.032, 0.0, 0.090)).into(), turn);
     assert!(s.go(tilted * grip), "the arm cannot pour there");
     let (v, s) = verdict(s, 3.0);
@@ -220,5 +220,26 @@ fn speed() {
         let begin = std::time::Instant::now();
         s.wait(1.0);
         println!("{scene}: {:.0} steps/s", 500.0 / begin.elapsed().as_secs_f64());
+    }
+}
+
+/// The arm is told of the wall where it stands in the scene.
+#[test]
+fn the_workcell_of_the_ring_is_that_of_its_scene() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../config/robot/workcell_ring_on_peg.yaml");
+    let cell = tdv_robot::collision::Workcell::load(&file).unwrap();
+    let s = start("ring_on_peg", 9);
+    for (fixture, object) in [("wall", "wall"), ("peg_base", "peg")] {
+        let f = cell.fixtures.iter().find(|f| f.name == fixture).unwrap();
+        let stands = pose(&s, object).translation;
+        let off = (f.position[0] - stands.x).hypot(f.position[1] - stands.y);
+        assert!(off < 1e-6, "{fixture} is {off} m off");
+        let i = s.lab.scene().index_of(object).unwrap();
+        let (low, high) = s.lab.assets().meshes[i].bounds();
+        let tdv_robot::collision::FixtureShape::Box(edges) = f.shape.clone() else { panic!() };
+        assert!((edges[0] - (high.x - low.x)).abs() < 1e-6);
+        assert!((edges[1] - (high.y - low.y)).abs() < 1e-6);
+        assert!((f.position[2] - edges[2] / 2.0).abs() < 1e-9, "it stands on the table");
     }
 }

@@ -35,19 +35,15 @@ fn span(low: [f64; 3], high: [f64; 3]) -> CollisionPart {
     block(half, std::array::from_fn(|k| (high[k] + low[k]) / 2.0))
 }
 
-/// What boxes and cylinders look like, edges a little rounded.
+/// What boxes and cylinders look like.
 fn look(parts: &[CollisionPart], color: [u8; 3]) -> Mesh {
     let mut out = Mesh::default();
     for p in parts {
         let mesh = match p.shape {
             PartShape::Box { half_extents } => {
                 let size = half_extents.map(|h| 2.0 * h);
-                let least = size.iter().fold(f64::MAX, |a, b| a.min(*b));
-                if least < 0.006 {
-                    cuboid(size, color)
-                } else {
-                    rounded_cuboid(size, 0.12 * least.min(0.012), color)
-                }
+                // Rounding takes a thousand triangles: for what has few parts.
+                if parts.len() == 1 { rounded_cuboid(size, 0.001, color) } else { cuboid(size, color) }
             }
             PartShape::Cylinder { radius, height } => cylinder(radius, height, 24, color)
                 .transformed(&Pose::translation(0.0, 0.0, -height / 2.0)),
@@ -88,21 +84,21 @@ fn ball(at: [f64; 3], half: [f64; 3], roll: f64, segments: usize, color: [u8; 3]
 fn toy() -> Made {
     let mut mesh = Mesh::default();
     for piece in [
-        ball([0.0, 0.0, 0.034], [0.027, 0.030, 0.034], 0.0, 20, FUR),
-        ball([0.006, 0.0, 0.036], [0.0225, 0.021, 0.024], 0.0, 14, BELLY),
-        ball([0.002, 0.0, 0.082], [0.025, 0.033, 0.026], 0.0, 20, FUR),
-        ball([0.0, 0.045, 0.091], [0.0055, 0.022, 0.011], 0.45, 14, FUR),
-        ball([0.0, -0.045, 0.091], [0.0055, 0.022, 0.011], -0.45, 14, FUR),
-        ball([0.003, 0.046, 0.091], [0.004, 0.017, 0.007], 0.45, 10, PINK),
-        ball([0.003, -0.046, 0.091], [0.004, 0.017, 0.007], -0.45, 10, PINK),
-        ball([0.0255, 0.0, 0.078], [0.006, 0.007, 0.005], 0.0, 10, DARK),
-        ball([0.0205, 0.014, 0.087], [0.006, 0.006, 0.008], 0.3, 10, DARK),
-        ball([0.0205, -0.014, 0.087], [0.006, 0.006, 0.008], -0.3, 10, DARK),
-        ball([0.012, 0.018, 0.009], [0.0135, 0.010, 0.009], 0.0, 12, FUR),
-        ball([0.012, -0.018, 0.009], [0.0135, 0.010, 0.009], 0.0, 12, FUR),
-        ball([0.012, 0.027, 0.046], [0.008, 0.007, 0.011], 0.6, 10, FUR),
-        ball([0.012, -0.027, 0.046], [0.008, 0.007, 0.011], -0.6, 10, FUR),
-        ball([-0.028, 0.0, 0.018], [0.008, 0.007, 0.007], 0.0, 10, BELLY),
+        ball([0.0, 0.0, 0.034], [0.027, 0.030, 0.034], 0.0, 14, FUR),
+        ball([0.006, 0.0, 0.036], [0.0225, 0.021, 0.024], 0.0, 10, BELLY),
+        ball([0.002, 0.0, 0.082], [0.025, 0.033, 0.026], 0.0, 14, FUR),
+        ball([0.0, 0.045, 0.091], [0.0055, 0.022, 0.011], 0.45, 10, FUR),
+        ball([0.0, -0.045, 0.091], [0.0055, 0.022, 0.011], -0.45, 10, FUR),
+        ball([0.003, 0.046, 0.091], [0.004, 0.017, 0.007], 0.45, 8, PINK),
+        ball([0.003, -0.046, 0.091], [0.004, 0.017, 0.007], -0.45, 8, PINK),
+        ball([0.0255, 0.0, 0.078], [0.006, 0.007, 0.005], 0.0, 8, DARK),
+        ball([0.0205, 0.014, 0.087], [0.006, 0.006, 0.008], 0.3, 8, DARK),
+        ball([0.0205, -0.014, 0.087], [0.006, 0.006, 0.008], -0.3, 8, DARK),
+        ball([0.012, 0.018, 0.009], [0.0135, 0.010, 0.009], 0.0, 8, FUR),
+        ball([0.012, -0.018, 0.009], [0.0135, 0.010, 0.009], 0.0, 8, FUR),
+        ball([0.012, 0.027, 0.046], [0.008, 0.007, 0.011], 0.6, 8, FUR),
+        ball([0.012, -0.027, 0.046], [0.008, 0.007, 0.011], -0.6, 8, FUR),
+        ball([-0.028, 0.0, 0.018], [0.008, 0.007, 0.007], 0.0, 8, BELLY),
     ] {
         mesh.append(&piece);
     }
@@ -164,7 +160,7 @@ fn peg() -> Made {
         span([-0.05, -0.05, 0.0], [0.05, 0.05, 0.010]),
         span([-0.0125, -0.0125, 0.010], [0.0125, 0.0125, 0.072]),
         // The tip is drawn in, as a turned peg's would be.
-        span([-0.0095, -0.0095, 0.072], [0.0095, 0.0095, 0.080]),
+        span([-0.011, -0.011, 0.072], [0.011, 0.011, 0.080]),
     ];
     let mut mesh = look(&parts[..1], GREEN);
     mesh.append(&look(&parts[1..], YELLOW));

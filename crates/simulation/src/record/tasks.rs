@@ -130,15 +130,15 @@ fn ring_on_peg(base: DemoConfig) -> TaskDemo {
 }
 
 /// How far the mug is tilted (rad).
-const POUR: f64 = 1.98;
+const POUR: f64 = 1.75;
 
 /// Where the mug is held over the tumbler and where it is tilted: its mouth comes to lie over the
 /// tumbler, a little before its middle, and it opens towards the robot's base.
 fn pour_poses(tumbler: &Pose) -> [Pose; 2] {
     let t = tumbler.translation.vector;
-    let over = at(t.x + 0.075, t.y, 0.165, 0.0);
+    let over = at(t.x + 0.080, t.y, 0.200, 0.0);
     let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), -POUR);
-    let rim = Vector3::new(t.x + 0.015, t.y, 0.150);
+    let rim = Vector3::new(t.x + 0.024, t.y, 0.200);
     // The lowest point of the rim, on the mug's -x side once it is tilted.
     let tilted = Pose::from_parts(
         Translation3::from(rim - turn * Vector3::new(-0.032, 0.0, 0.090)),
@@ -152,7 +152,7 @@ fn pour_water(base: DemoConfig) -> TaskDemo {
     let start = at(0.52, 0.10, 0.0, 0.2);
     let [over, tilted] = pour_poses(&tumbler);
     let script = take(Pose::identity(), &start, 0.12)
-        .then(lifted(&start, 0.165), 1.2, 0.0)
+        .then(lifted(&start, 0.200), 1.2, 0.0)
         .then(over, 2.0, 0.4)
         .then(tilted, 3.2, 0.0)
         .dwell(1.5);
