@@ -8,8 +8,23 @@ use nalgebra::Point3;
 use tdv_rendering::{ObjectFile, PartShape};
 
 const NAMES: [&str; 17] = [
-    "mug", "coaster", "bottle", "disc", "cube", "toy", "card", "ring", "peg", "wall", "tumbler",
-    "cabinet", "drawer", "socket", "plug", "tissue_box", "tissue",
+    "mug",
+    "coaster",
+    "bottle",
+    "disc",
+    "cube",
+    "toy",
+    "card",
+    "ring",
+    "peg",
+    "wall",
+    "tumbler",
+    "cabinet",
+    "drawer",
+    "socket",
+    "plug",
+    "tissue_box",
+    "tissue",
 ];
 /// Objects whose origin does not lie on their underside.
 const HANGING: [&str; 3] = ["cube", "drawer", "tissue"];

@@ -76,8 +76,7 @@ impl Guide {
 
     /// How far it is open, m, for the poses of the base and the object.
     pub(crate) fn travel(&self, base: &Pose64, object: &Pose64) -> f64 {
-        let axis =
-            Vector3::from(self.slider.axis).try_normalize(1e-9).unwrap_or_else(Vector3::x);
+        let axis = Vector3::from(self.slider.axis).try_normalize(1e-9).unwrap_or_else(Vector3::x);
         axis.dot(&(base.inverse() * object).translation.vector)
     }
 

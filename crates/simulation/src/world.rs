@@ -3,11 +3,11 @@
 
 use crate::arm::{self, PIECES};
 use crate::contacts::{Contacts, Tag};
-use crate::mount::{self, DropSet, Guide, Mount};
 use crate::gripper::{
     FINGER_ROOT, FINGER_THICKNESS, FingerDrive, PAD_LENGTH, PAD_THICKNESS, PAD_WIDTH, PALM_FRONT,
     PALM_RADIUS, STROKE, TCP_OFFSET,
 };
+use crate::mount::{self, DropSet, Guide, Mount};
 use crate::parts::{Part, Solid};
 use crate::units;
 use rapier3d::prelude::*;
@@ -506,8 +506,7 @@ fn insert_object(physics: &mut PhysicsWorld, index: usize, body: &Body) -> Rigid
         Mount::Fixed => RigidBodyBuilder::fixed(),
         Mount::Free | Mount::Slider(_) => RigidBodyBuilder::dynamic(),
     };
-    let handle =
-        physics.insert_body(builder.pose(units::pose(&body.pose)).ccd_enabled(false));
+    let handle = physics.insert_body(builder.pose(units::pose(&body.pose)).ccd_enabled(false));
     // The arm moves by itself, what is screwed down not at all: such pairs are left out unless asked for.
     let mut pairs = ActiveCollisionTypes::default();
     if body.mount == Mount::Fixed {

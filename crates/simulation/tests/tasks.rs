@@ -226,8 +226,8 @@ fn speed() {
 /// The arm is told of the wall where it stands in the scene.
 #[test]
 fn the_workcell_of_the_ring_is_that_of_its_scene() {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../../config/robot/workcell_ring_on_peg.yaml");
+    let file =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/robot/workcell_ring_on_peg.yaml");
     let cell = tdv_robot::collision::Workcell::load(&file).unwrap();
     let s = start("ring_on_peg", 9);
     for (fixture, object) in [("wall", "wall"), ("peg_base", "peg")] {

@@ -43,7 +43,11 @@ fn look(parts: &[CollisionPart], color: [u8; 3]) -> Mesh {
             PartShape::Box { half_extents } => {
                 let size = half_extents.map(|h| 2.0 * h);
                 // Rounding takes a thousand triangles: for what has few parts.
-                if parts.len() == 1 { rounded_cuboid(size, 0.001, color) } else { cuboid(size, color) }
+                if parts.len() == 1 {
+                    rounded_cuboid(size, 0.001, color)
+                } else {
+                    cuboid(size, color)
+                }
             }
             PartShape::Cylinder { radius, height } => cylinder(radius, height, 24, color)
                 .transformed(&Pose::translation(0.0, 0.0, -height / 2.0)),
@@ -241,11 +245,7 @@ fn drawer() -> Made {
         span([-0.070, -0.074, 0.020], [-0.066, 0.074, 0.070]),
     ];
     let handle = vec![
-        part(
-            PartShape::Cylinder { radius: 0.012, height: 0.064 },
-            [0.145, 0.0, 0.058],
-            [0.0; 3],
-        ),
+        part(PartShape::Cylinder { radius: 0.012, height: 0.064 }, [0.145, 0.0, 0.058], [0.0; 3]),
         span([0.089, -0.004, 0.032], [0.145, 0.004, 0.040]),
         span([0.089, -0.004, 0.076], [0.145, 0.004, 0.084]),
     ];
@@ -265,10 +265,8 @@ fn drawer() -> Made {
 /// A layer with square holes of half width `hole` at the given x.
 fn layer(z: [f64; 2], holes: &[f64], hole: f64) -> Vec<CollisionPart> {
     let (x, y) = (0.080, 0.030);
-    let mut out = vec![
-        span([-x, hole, z[0]], [x, y, z[1]]),
-        span([-x, -y, z[0]], [x, -hole, z[1]]),
-    ];
+    let mut out =
+        vec![span([-x, hole, z[0]], [x, y, z[1]]), span([-x, -y, z[0]], [x, -hole, z[1]])];
     let mut from = -x;
     for at in holes {
         out.push(span([from, -hole, z[0]], [at - hole, hole, z[1]]));

@@ -79,7 +79,9 @@ impl Script {
             p.seconds > 0.05 && p.seconds < 60.0 && p.overlap >= 0.0 && p.overlap < p.seconds
         };
         if let Some(k) = self.phases.iter().position(|p| !times_ok(p)) {
-            return Some(format!("phase {k} needs 0.05 to 60 s and an overlap shorter than itself"));
+            return Some(format!(
+                "phase {k} needs 0.05 to 60 s and an overlap shorter than itself"
+            ));
         }
         let finite = |p: &Pose| p.translation.vector.iter().all(|v| v.is_finite() && v.abs() < 5.0);
         let all = self.phases.iter().map(|p| &p.to).chain([&self.from, &self.hold]);
@@ -149,11 +151,8 @@ impl Script {
     ) -> (HandPose, Pose, bool) {
         let [begin, end] = self.held();
         let at = self.grasp(t, sway);
-        let object = if t < begin {
-            *start
-        } else {
-            self.grasp(t.min(end), sway) * self.hold.inverse()
-        };
+        let object =
+            if t < begin { *start } else { self.grasp(t.min(end), sway) * self.hold.inverse() };
         let spans = self.spans();
         let sum = |grip| -> f64 {
             let of = self.phases.iter().zip(&spans).filter(|(p, _)| p.grip == grip);
@@ -161,9 +160,8 @@ impl Script {
         };
         let bend = (sum(Grip::Close) - sum(Grip::Open)).clamp(0.0, 1.0);
         let ready = spans.first().map_or(1.0, |s| channel(t, *s));
-        let mut hand = HandPose::relaxed(Pose::identity())
-            .blend(&fit.open, ready)
-            .blend(&fit.closed, bend);
+        let mut hand =
+            HandPose::relaxed(Pose::identity()).blend(&fit.open, ready).blend(&fit.closed, bend);
         // At home the hand is turned and tilted as a resting arm would have it.
         let rest = UnitQuaternion::from_scaled_axis(Vector3::new(0.35, 0.1, 0.25) * (1.0 - ready));
         let palm = at * fit.closed.palm;

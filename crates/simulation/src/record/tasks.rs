@@ -74,10 +74,7 @@ fn take(hold: Pose, object: &Pose, above: f64) -> Script {
 /// Open, up, away.
 fn leave(script: Script, above: f64) -> Script {
     let last = script.phases.last().map_or(script.from, |p| p.to);
-    script
-        .grip(Grip::Open, 0.4)
-        .then(lifted(&last, above), 0.9, 0.1)
-        .then(home(&last), 0.8, 0.4)
+    script.grip(Grip::Open, 0.4).then(lifted(&last, above), 0.9, 0.1).then(home(&last), 0.8, 0.4)
 }
 
 /// Lift, over to a place, down; `via` is the height (m) of the way.
@@ -140,10 +137,8 @@ fn pour_poses(tumbler: &Pose) -> [Pose; 2] {
     let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), -POUR);
     let rim = Vector3::new(t.x + 0.024, t.y, 0.200);
     // The lowest point of the rim, on the mug's -x side once it is tilted.
-    let tilted = Pose::from_parts(
-        Translation3::from(rim - turn * Vector3::new(-0.032, 0.0, 0.090)),
-        turn,
-    );
+    let tilted =
+        Pose::from_parts(Translation3::from(rim - turn * Vector3::new(-0.032, 0.0, 0.090)), turn);
     [over, tilted]
 }
 

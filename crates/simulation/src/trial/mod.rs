@@ -173,12 +173,7 @@ impl Judge {
 
     /// One look at the world, `dt` seconds after the last. `drops` are the centres of what is poured
     /// (m, base_link), if there are any.
-    pub fn step(
-        &mut self,
-        dt: f64,
-        objects: &[Observed],
-        drops: &[Point3<f64>],
-    ) -> &Verdict {
+    pub fn step(&mut self, dt: f64, objects: &[Observed], drops: &[Point3<f64>]) -> &Verdict {
         if self.verdict.finished {
             return &self.verdict;
         }
@@ -223,8 +218,7 @@ impl Judge {
         if self.held_for >= self.config.rest {
             return self.finish(true, self.rule.done().into());
         }
-        let reason =
-            missing.unwrap_or_else(|| format!("{}, waiting for rest", self.rule.done()));
+        let reason = missing.unwrap_or_else(|| format!("{}, waiting for rest", self.rule.done()));
         if self.verdict.elapsed >= self.config.limit {
             return self.finish(false, format!("time is up: {reason}"));
         }
@@ -402,7 +396,9 @@ mod tests {
             assert!(ruled(rule, good, true, &[]).success, "{rule:?}");
             assert!(!ruled(rule, bad, false, &[]).success, "{rule:?}");
         }
-        assert!(Rule::Pulled { distance: f64::NAN }.problem().is_some() && opened.problem().is_none());
+        assert!(
+            Rule::Pulled { distance: f64::NAN }.problem().is_some() && opened.problem().is_none()
+        );
     }
 
     #[test]

@@ -185,7 +185,10 @@ impl Rule {
             }
             (Self::Opened { travel, .. }, Measured::Travel(is)) => (is < travel)
                 .then(|| format!("{name} is {:.0} of {:.0} mm open", mm(is), mm(travel))),
-            (Self::Inserted { distance, depth: least, .. }, Measured::Depth { off_axis, depth }) => {
+            (
+                Self::Inserted { distance, depth: least, .. },
+                Measured::Depth { off_axis, depth },
+            ) => {
                 if off_axis > distance {
                     return Some(format!("{name} is {:.0} mm beside the hole", mm(off_axis)));
                 }
