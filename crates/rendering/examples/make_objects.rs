@@ -1,6 +1,8 @@
 //! Writes `config/objects/*` from numbers: `cargo run -p tdv-rendering --example make_objects`.
 //! A test compares the committed files with what this makes, byte by byte.
 
+mod task_objects;
+
 use std::f64::consts::TAU;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -269,7 +271,7 @@ fn yaml(made: &Made) -> String {
 /// Every file with its contents, relative to `config/objects`.
 pub fn files() -> Vec<(PathBuf, String)> {
     let mut out = Vec::new();
-    for made in all() {
+    for made in all().into_iter().chain(task_objects::all()) {
         let dir = PathBuf::from(&made.file.name);
         let (obj, mtl) = made.mesh.to_obj("mesh.mtl");
         out.push((dir.join("object.yaml"), yaml(&made)));

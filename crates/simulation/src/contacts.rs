@@ -75,6 +75,9 @@ pub struct Contacts {
     /// Sum of the forces that the surroundings exert on arm, palm and fingers, N in `base_link`. The
     /// squeeze of a grasp cancels in it.
     pub robot_force: Vector3<f64>,
+    /// How deep an arm link or the palm is in something that cannot give way, m: no force stops a
+    /// robot that is moved by its joints alone.
+    pub crash_depth: f64,
 }
 
 impl Contacts {
@@ -101,6 +104,17 @@ impl Contacts {
                     on_second -=
                         units::vector64(point.data.warmstart_tangent_world) * (substeps / dt);
                 }
+            }
+            let immovable = |h| {
+                let body = physics.colliders.get(h).and_then(|c| c.parent());
+                body.and_then(|b| physics.bodies.get(b)).is_some_and(|b| b.is_fixed())
+            };
+            if (a == Tag::Arm && immovable(pair.collider2))
+                || (b == Tag::Arm && immovable(pair.collider1))
+            {
+                let points = pair.manifolds().iter().flat_map(|m| &m.points);
+                let depth = points.map(|p| -f64::from(p.dist)).fold(0.0, f64::max);
+                out.crash_depth = out.crash_depth.max(depth);
             }
             if !touching {
                 continue;

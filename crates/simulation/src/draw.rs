@@ -44,6 +44,10 @@ impl Scene {
         let mut poses: Vec<Pose> = Vec::with_capacity(self.objects.len());
         for (i, object) in self.objects.iter().enumerate() {
             let pose = match &object.start {
+                Placement::On(a) => {
+                    let other = self.objects.iter().position(|o| o.name == a.object);
+                    other.and_then(|k| poses.get(k)).map(|p| p * a.pose())
+                }
                 Placement::Spot(s) => {
                     let x = s.xy[0] + s.jitter * rng.random_range(-1.0..=1.0);
                     let y = s.xy[1] + s.jitter * rng.random_range(-1.0..=1.0);

@@ -13,6 +13,7 @@ mod draw;
 mod error;
 pub mod gripper;
 pub mod lab;
+pub mod mount;
 pub mod pacing;
 pub mod parts;
 pub mod record;

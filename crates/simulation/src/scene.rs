@@ -4,7 +4,7 @@ use crate::backdrop::MAX_DISTRACTORS;
 use crate::controller::Generation;
 use crate::error::SimulationError;
 use crate::sensor::{ColorNoise, DepthNoise, SensorConfig};
-use crate::trial::{PlacingGoal, SuccessConfig};
+use crate::trial::{PlacingGoal, Rule, SuccessConfig};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use tdv_geometry::Pose;
@@ -63,6 +63,100 @@ pub enum Placement {
     Region(StartRegion),
     /// Near a spot.
     Spot(Spot),
+    /// At a fixed place in another object's frame.
+    On(Attached),
+}
+
+/// A place in another object's frame.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Attached {
+    /// Name of the other object; it has to stand before this one in the scene.
+    pub object: String,
+    /// Position in its frame, m.
+    #[serde(default)]
+    pub xyz: [f64; 3],
+    /// Yaw in its frame, deg.
+    #[serde(default)]
+    pub yaw_deg: f64,
+}
+
+impl Attached {
+    /// `T_other_object`.
+    pub fn pose(&self) -> Pose {
+        tdv_geometry::pose_from_xyz_rpy(self.xyz, [0.0, 0.0, self.yaw_deg.to_radians()])
+    }
+}
+
+/// How an object is fastened.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum SceneMount {
+    /// Not at all.
+    #[default]
+    Free,
+    /// Screwed to the table.
+    Fixed,
+    /// Slides along another object.
+    Slider(SceneSlider),
+}
+
+/// A straight guide between two objects whose frames are the same when it is shut.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SceneSlider {
+    /// The object that it slides on; it has to stand before this one in the scene.
+    pub base: String,
+    /// Direction in which it opens, in the base's frame.
+    pub axis: [f64; 3],
+    /// How far it goes, m.
+    pub travel: f64,
+    /// Dry friction, N.
+    pub friction: f64,
+    /// Comes free at the end of its travel instead of stopping there.
+    #[serde(default)]
+    pub comes_free: bool,
+}
+
+/// Small balls in an object that stand for water.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Drops {
+    /// How many.
+    pub count: usize,
+    /// Radius of each, m.
+    pub radius: f64,
+    /// Mass of each, kg.
+    pub mass: f64,
+    /// The object that they are in at the start.
+    pub inside: String,
+    /// Inner radius of that object, m.
+    pub cup_radius: f64,
+    /// Height of the floor inside it, m.
+    pub cup_floor: f64,
+}
+
+/// Most drops that a scene may have: more would make it slow.
+const MAX_DROPS: usize = 400;
+
+impl Drops {
+    /// Name of a field and what is wrong with it.
+    fn check(&self) -> Result<(), (&'static str, String)> {
+        if self.count == 0 || self.count > MAX_DROPS {
+            return Err(("count", format!("is {}, 1 to {MAX_DROPS} is possible", self.count)));
+        }
+        for (field, v, low) in [
+            ("radius", self.radius, 0.002),
+            ("mass", self.mass, 1e-5),
+            ("cup_radius", self.cup_radius, 1.5 * self.radius),
+            ("cup_floor", self.cup_floor, 0.0),
+        ] {
+            if !(v >= low && v < 0.2) {
+                return Err((field, format!("is {v}, {low} to 0.2 is possible")));
+            }
+        }
+        Ok(())
+    }
 }
 
 /// An object of the scene.
@@ -73,6 +167,9 @@ pub struct SceneObject {
     pub name: String,
     /// Its start.
     pub start: Placement,
+    /// How it is fastened.
+    #[serde(default)]
+    pub mount: SceneMount,
 }
 
 /// The camera.
@@ -213,7 +310,10 @@ pub struct PlacingTask {
     /// Where on it, unless a demonstration says otherwise.
     #[serde(default)]
     pub goal: PlacingGoal,
-    /// When that is done.
+    /// What counts as done.
+    #[serde(default)]
+    pub rule: Rule,
+    /// The numbers of that.
     #[serde(default)]
     pub success: SuccessConfig,
 }
@@ -232,6 +332,9 @@ pub struct Scene {
     pub robot: RobotConfig,
     /// The camera.
     pub camera: CameraConfig,
+    /// What is poured.
+    #[serde(default)]
+    pub drops: Option<Drops>,
     /// How many random things are seen on the table that are no objects of the task (at most 16); they
     /// are beyond the arm's reach and not in the physics.
     #[serde(default)]
@@ -311,7 +414,26 @@ impl Scene {
             if earlier.iter().any(|e| e.name == o.name) {
                 return bad(field, "appears twice".into());
             }
+            if let SceneMount::Slider(s) = &o.mount {
+                if !earlier.iter().any(|e| e.name == s.base) {
+                    let reason = format!("slides on `{}`, which is not listed before it", s.base);
+                    return bad(field, reason);
+                }
+                let lengths = [tdv_geometry::nalgebra::Vector3::from(s.axis).norm(), s.travel];
+                if !lengths.iter().all(|v| *v > 1e-6 && *v < 5.0) || !(s.friction >= 0.0) {
+                    return bad(field, "slides along no axis, nowhere or without friction".into());
+                }
+            }
             match &o.start {
+                Placement::On(a) => {
+                    if !earlier.iter().any(|e| e.name == a.object) {
+                        let reason = format!("is on `{}`, which is not listed before it", a.object);
+                        return bad(field, reason);
+                    }
+                    if !a.xyz.iter().chain([&a.yaw_deg]).all(|v| v.is_finite()) {
+                        return bad(field, "needs finite numbers".into());
+                    }
+                }
                 Placement::Region(r) => {
                     let finite = r.x.iter().chain(&r.y).chain(&r.yaw_deg).all(|v| v.is_finite());
                     if !finite || r.x[0] > r.x[1] || r.y[0] > r.y[1] || r.yaw_deg[0] > r.yaw_deg[1]
@@ -354,6 +476,15 @@ impl Scene {
         }
         self.index_of(&self.task.moving)?;
         self.index_of(&self.task.reference)?;
+        if let Some(reason) = self.task.rule.problem() {
+            return bad("task.rule".into(), reason);
+        }
+        if let Some(drops) = &self.drops {
+            self.index_of(&drops.inside)?;
+            if let Err((field, reason)) = drops.check() {
+                return bad(format!("drops.{field}"), reason);
+            }
+        }
         if self.task.moving == self.task.reference {
             return bad("task".into(), "moves an object onto itself".into());
         }

@@ -7,11 +7,12 @@ use crate::gripper::{
     FINGER_ROOT, FINGER_THICKNESS, FingerDrive, PAD_LENGTH, PAD_THICKNESS, PAD_WIDTH, PALM_FRONT,
     PALM_RADIUS, STROKE, TCP_OFFSET,
 };
+use crate::mount::{self, DropSet, Guide, Mount};
 use crate::parts::{Part, Solid};
 use crate::units;
 use rapier3d::prelude::*;
 use tdv_geometry::Pose as Pose64;
-use tdv_geometry::nalgebra::{Translation3, UnitQuaternion, Vector3};
+use tdv_geometry::nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 
 /// One tick of the world, s.
 pub const DT: f64 = 0.002;
@@ -29,6 +30,8 @@ pub struct Body {
     pub parts: Vec<Part>,
     /// Where it starts, `T_base_link_object`.
     pub pose: Pose64,
+    /// How it is fastened.
+    pub mount: Mount,
 }
 
 /// Numbers of the physics that are not objects.
@@ -65,6 +68,7 @@ const TABLE: Group = Group::GROUP_1;
 const OBJECT: Group = Group::GROUP_2;
 const ARM: Group = Group::GROUP_3;
 const FINGER: Group = Group::GROUP_4;
+const DROP: Group = Group::GROUP_5;
 
 struct Finger {
     body: RigidBodyHandle,
@@ -82,6 +86,8 @@ pub struct World {
     moving: Vec<ColliderHandle>,
     fingers: [Finger; 2],
     objects: Vec<RigidBodyHandle>,
+    guides: Vec<Guide>,
+    drops: Vec<RigidBodyHandle>,
     config: WorldConfig,
     drive: FingerDrive,
     /// Half gap that the finger motors aim at now, m.
@@ -113,12 +119,12 @@ impl World {
         let table = ColliderBuilder::cuboid(half[0] as f32, half[1] as f32, half[2] as f32)
             .translation(Vector::new((0.5 * (x0 + x1)) as f32, (0.5 * (y0 + y1)) as f32, -0.02))
             .friction(config.table_friction as f32)
-            .collision_groups(groups(TABLE, OBJECT))
+            .collision_groups(groups(TABLE, OBJECT | DROP))
             .user_data(Tag::Table.to_user_data());
         physics.insert_collider(table, None);
         let floor = ColliderBuilder::cuboid(5.0, 5.0, 0.05)
             .translation(Vector::new(0.0, 0.0, -0.8))
-            .collision_groups(groups(TABLE, OBJECT))
+            .collision_groups(groups(TABLE, OBJECT | DROP))
             .user_data(Tag::Floor.to_user_data());
         physics.insert_collider(floor, None);
 
@@ -138,21 +144,31 @@ impl World {
             }
         }
         for part in palm_parts() {
-            let c = part.collider().collision_groups(groups(ARM, OBJECT)).friction(0.4);
+            let c = part.collider().collision_groups(groups(ARM, OBJECT | DROP)).friction(0.4);
             let c = c.user_data(Tag::Arm.to_user_data());
             moving.push(physics.insert_collider(c, Some(frames[6])));
         }
         let fingers = [1.0, -1.0].map(|side| {
             insert_finger(&mut physics, frames[6], &poses[6], side, config.pad_friction)
         });
-        let objects =
+        let objects: Vec<RigidBodyHandle> =
             bodies.iter().enumerate().map(|(i, b)| insert_object(&mut physics, i, b)).collect();
+        let mut guides = Vec::new();
+        for (i, body) in bodies.iter().enumerate() {
+            if let Mount::Slider(slider) = body.mount
+                && let Some(base) = objects.get(slider.base).filter(|_| slider.base < i)
+            {
+                guides.push(Guide::insert(&mut physics, (*base, objects[i]), i, slider));
+            }
+        }
         let mut world = Self {
             physics,
             frames,
             moving,
             fingers,
             objects,
+            guides,
+            drops: Vec::new(),
             config,
             drive: FingerDrive::default(),
             aim: 0.5 * STROKE,
@@ -201,6 +217,33 @@ impl World {
         self.apply_drive();
         self.physics.step();
         self.time_ticks += 1;
+        for k in 0..self.guides.len() {
+            let travel = self.travel(&self.guides[k]);
+            self.guides[k].release(&mut self.physics, travel);
+        }
+    }
+
+    fn travel(&self, guide: &Guide) -> f64 {
+        let (base, object) = (self.object_pose(guide.slider.base), self.object_pose(guide.object));
+        guide.travel(&base, &object)
+    }
+
+    /// How far object `i` has been drawn out of its guide, m; none if it has none or came free.
+    pub fn joint_travel(&self, i: usize) -> Option<f64> {
+        let guide = self.guides.iter().find(|g| g.object == i && g.joined())?;
+        Some(self.travel(guide))
+    }
+
+    /// Adds drops of something to pour.
+    pub fn add_drops(&mut self, drops: &DropSet) {
+        let group = groups(DROP, TABLE | OBJECT | ARM | FINGER | DROP);
+        self.drops.extend(mount::insert_drops(&mut self.physics, drops, group));
+    }
+
+    /// Centres of all drops, m in `base_link`.
+    pub fn drops(&self) -> Vec<Point3<f64>> {
+        let at = |h: &RigidBodyHandle| self.body_pose(*h).translation.vector.into();
+        self.drops.iter().map(at).collect()
     }
 
     /// The two pads are driven by one motor: both aim at the same half gap. The aim runs ahead of the
@@ -296,8 +339,21 @@ impl World {
         })
     }
 
-    /// Puts object `i` somewhere else, at rest.
+    /// Puts object `i` somewhere else, at rest, and what slides on it along with it.
     pub fn place_object(&mut self, i: usize, pose: &Pose64) {
+        let by = pose * self.object_pose(i).inverse();
+        self.put(i, pose);
+        for k in 0..self.guides.len() {
+            let guide = &self.guides[k];
+            if guide.slider.base == i && guide.joined() {
+                let object = guide.object;
+                let to = by * self.object_pose(object);
+                self.put(object, &to);
+            }
+        }
+    }
+
+    fn put(&mut self, i: usize, pose: &Pose64) {
         if let Some(body) = self.objects.get(i).and_then(|h| self.physics.bodies.get_mut(*h)) {
             body.set_position(units::pose(pose), true);
             body.set_linvel(Vector::ZERO, true);
@@ -327,7 +383,13 @@ impl World {
     pub fn state_hash(&self) -> u64 {
         let fingers = self.fingers.iter().map(|f| f.body);
         let mut hash = 0xcbf2_9ce4_8422_2325_u64;
-        for handle in self.frames.iter().copied().chain(fingers).chain(self.objects.iter().copied())
+        for handle in self
+            .frames
+            .iter()
+            .copied()
+            .chain(fingers)
+            .chain(self.objects.iter().copied())
+            .chain(self.drops.iter().copied())
         {
             let Some(b) = self.physics.bodies.get(handle) else { continue };
             let (t, r) = (b.translation(), b.rotation());
@@ -422,7 +484,7 @@ fn insert_finger(
                 .collider()
                 .friction(friction[i])
                 .friction_combine_rule(CoefficientCombineRule::Multiply)
-                .collision_groups(groups(FINGER, OBJECT))
+                .collision_groups(groups(FINGER, OBJECT | DROP))
                 .user_data(tag.to_user_data()),
             Some(body),
         )
@@ -440,8 +502,16 @@ fn insert_finger(
 }
 
 fn insert_object(physics: &mut PhysicsWorld, index: usize, body: &Body) -> RigidBodyHandle {
-    let handle = physics
-        .insert_body(RigidBodyBuilder::dynamic().pose(units::pose(&body.pose)).ccd_enabled(false));
+    let builder = match body.mount {
+        Mount::Fixed => RigidBodyBuilder::fixed(),
+        Mount::Free | Mount::Slider(_) => RigidBodyBuilder::dynamic(),
+    };
+    let handle = physics.insert_body(builder.pose(units::pose(&body.pose)).ccd_enabled(false));
+    // The arm moves by itself, what is screwed down not at all: such pairs are left out unless asked for.
+    let mut pairs = ActiveCollisionTypes::default();
+    if body.mount == Mount::Fixed {
+        pairs |= ActiveCollisionTypes::KINEMATIC_FIXED;
+    }
     let volume: f64 = body.parts.iter().map(Part::volume).sum();
     for part in &body.parts {
         let mass = body.mass * part.volume() / volume.max(1e-12);
@@ -449,7 +519,8 @@ fn insert_object(physics: &mut PhysicsWorld, index: usize, body: &Body) -> Rigid
             part.collider()
                 .mass(mass as f32)
                 .friction(body.friction as f32)
-                .collision_groups(groups(OBJECT, TABLE | OBJECT | ARM | FINGER))
+                .collision_groups(groups(OBJECT, TABLE | OBJECT | ARM | FINGER | DROP))
+                .active_collision_types(pairs)
                 .user_data(Tag::Object(index as u32).to_user_data()),
             Some(handle),
         );

@@ -156,6 +156,10 @@ pub struct RecordArgs {
 
 #[derive(Args)]
 pub struct RecordDemoArgs {
+    /// Which task is shown
+    #[arg(long, default_value = "cup_on_coaster",
+        value_parser = clap::builder::PossibleValuesParser::new(tdv_simulation::record::TASKS))]
+    pub task: String,
     /// Bag folder to write; the ground truth goes to NAME_truth beside it
     #[arg(short, long)]
     pub output: PathBuf,

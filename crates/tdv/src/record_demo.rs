@@ -1,16 +1,14 @@
 use crate::arguments::RecordDemoArgs;
 use crate::observe::bar;
+use anyhow::Context as _;
 use std::path::Path;
 use tdv_geometry::Stamp;
 use tdv_rendering::ObjectFile;
 use tdv_runtime::camera_bag::{CameraBagWriter, PosesBagWriter};
-use tdv_simulation::record::{DemoConfig, DemoObject, Recorder};
+use tdv_simulation::record::{DemoObject, Recorder, TaskDemo, demonstration};
 
 /// Time of the first frame of a rendered demonstration: 2026-01-01 12:00 UTC.
 const EPOCH: Stamp = Stamp(1_767_268_800_000_000_000);
-
-/// Where the mug stands: x, y (m), yaw (rad) in base_link.
-const START: [f64; 3] = [0.55, 0.10, 0.262];
 
 fn object(folder: &Path, name: &str) -> anyhow::Result<DemoObject> {
     let folder = folder.join(name);
@@ -20,11 +18,16 @@ fn object(folder: &Path, name: &str) -> anyhow::Result<DemoObject> {
 
 /// Renders a demonstration into two bags: what a camera sees, and the truth.
 pub fn run(args: &RecordDemoArgs) -> anyhow::Result<()> {
-    let mut config = DemoConfig::cup_on_coaster(args.seed, START);
+    let TaskDemo { mut config, moving, reference, others } =
+        demonstration(&args.task, args.seed).context("no such task")?;
     config.start = EPOCH;
     let (intrinsics, camera_pose) = (config.sensor.intrinsics, config.camera);
-    let mut recorder =
-        Recorder::new(config, object(&args.objects, "mug")?, object(&args.objects, "coaster")?)?;
+    let others = others
+        .into_iter()
+        .map(|(name, pose)| Ok((object(&args.objects, name)?, pose)))
+        .collect::<anyhow::Result<Vec<_>>>()?;
+    let (moving, reference) = (object(&args.objects, moving)?, object(&args.objects, reference)?);
+    let mut recorder = Recorder::new(config, moving, reference)?.with_others(others);
     let name = args.output.file_name().map_or_else(|| "bag".into(), |n| n.to_string_lossy());
     let truth_path = args.output.with_file_name(format!("{name}_truth"));
     let mut camera = CameraBagWriter::create(&args.output, intrinsics, camera_pose, args.quality)?;

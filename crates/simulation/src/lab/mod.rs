@@ -8,15 +8,17 @@ use crate::controller::{Controller, StopReason};
 use crate::draw::Knowledge;
 use crate::error::SimulationError;
 use crate::gripper::{Gripper, GripperRequest, GripperStatus};
+use crate::mount::{DropSet, Mount, Slider, filling};
 use crate::parts::Part;
-use crate::scene::Scene;
+use crate::scene::{Placement, Scene, SceneMount};
 use crate::trial::{Judge, Observed, PlacingGoal, Verdict};
 use crate::visual::RobotMeshes;
 use crate::world::{Body, DT, World, WorldConfig};
 use displace::Slide;
 use std::sync::Arc;
-use tdv_geometry::nalgebra::Translation3;
+use tdv_geometry::nalgebra::{Point3, Translation3};
 use tdv_geometry::{Pose, Stamp};
+use tdv_rendering::mesh::primitives::sphere;
 use tdv_rendering::{Mesh, ObjectFile};
 
 /// Instance number of the table in id images; objects have 1, 2, ... in the scene's order.
@@ -25,6 +27,11 @@ pub const TABLE_ID: u16 = 1000;
 pub const ARM_ID: u16 = 1001;
 /// Instance number of the gripper.
 pub const GRIPPER_ID: u16 = 1002;
+/// Instance number of all drops.
+pub const DROP_ID: u16 = 1003;
+
+/// Colour of the drops.
+const WATER: [u8; 3] = [70, 150, 226];
 
 /// The scene with its objects' files and meshes; made once, shared by many trials.
 #[derive(Debug)]
@@ -37,6 +44,8 @@ pub struct LabAssets {
     pub meshes: Vec<Mesh>,
     /// The robot's meshes.
     pub robot: RobotMeshes,
+    /// What a drop looks like.
+    pub drop: Mesh,
 }
 
 impl LabAssets {
@@ -53,10 +62,13 @@ impl LabAssets {
             meshes.push(file.load_mesh(&dir)?);
             files.push(file);
         }
-        Ok(Self { scene, files, meshes, robot: RobotMeshes::new() })
+        let radius = scene.drops.as_ref().map_or(0.004, |d| d.radius);
+        let drop = sphere(radius, 8, WATER);
+        Ok(Self { scene, files, meshes, robot: RobotMeshes::new(), drop })
     }
 
-    /// What to draw at the given poses (see [`Lab::render_poses`]): objects, arm links, fingers.
+    /// What to draw at the given poses (see [`Lab::render_poses`]): objects, arm links, fingers,
+    /// and for whatever poses are left, drops.
     pub fn instances(&self, poses: &[Pose]) -> Vec<LabInstance<'_>> {
         let objects = self.meshes.iter().enumerate().map(|(i, mesh)| (mesh, i as u16 + 1));
         let links = self.robot.links.iter().enumerate();
@@ -65,6 +77,7 @@ impl LabAssets {
         objects
             .chain(links)
             .chain(fingers)
+            .chain(std::iter::repeat((&self.drop, DROP_ID)))
             .zip(poses)
             .map(|((mesh, id), pose)| LabInstance { mesh, pose: *pose, id })
             .collect()
@@ -89,6 +102,8 @@ pub struct Incidents {
     pub table_hits: u32,
     /// How deep, m.
     pub table_depth: f64,
+    /// How often a link or the palm went into something screwed to the table.
+    pub fixture_hits: u32,
     /// How often the arm was stopped for protection.
     pub protective_stops: u32,
     /// Largest push against the arm, N.
@@ -112,6 +127,7 @@ pub struct Lab {
     contacts: Contacts,
     force: f64,
     in_table: bool,
+    in_fixture: bool,
     incidents: Incidents,
     knowledge: Knowledge,
     slides: Vec<Slide>,
@@ -153,16 +169,33 @@ impl Lab {
         let mut bodies: Vec<Body> = Vec::with_capacity(drawn.len());
         for (i, (file, object)) in assets.files.iter().zip(&scene.objects).enumerate() {
             let parts: Vec<Part> = file.collision.iter().map(Part::from).collect();
-            let pose = starts.get(i).copied().unwrap_or_else(|| {
+            let on = match &object.start {
+                Placement::On(a) => {
+                    let k = scene.index_of(&a.object)?;
+                    bodies.get(k).map(|b| b.pose * a.pose())
+                }
+                Placement::Region(_) | Placement::Spot(_) => None,
+            };
+            let pose = starts.get(i).copied().or(on).unwrap_or_else(|| {
                 // An object whose origin is not in its base stands higher.
                 let base = parts.iter().map(Part::lowest).fold(f64::INFINITY, f64::min);
                 Translation3::new(0.0, 0.0, -base) * drawn[i]
             });
             let (mass, friction) = (file.mass, file.friction);
-            bodies.push(Body { name: object.name.clone(), mass, friction, parts, pose });
+            let mount = mount_of(scene, &object.mount)?;
+            bodies.push(Body { name: object.name.clone(), mass, friction, parts, pose, mount });
         }
         let home = scene.robot.home;
-        let world = World::new(WorldConfig::default(), &bodies, &home);
+        let mut world = World::new(WorldConfig::default(), &bodies, &home);
+        if let Some(drops) = &scene.drops {
+            let cup = bodies[scene.index_of(&drops.inside)?].pose;
+            let places = filling(drops.count, drops.radius, drops.cup_radius, drops.cup_floor);
+            world.add_drops(&DropSet {
+                centres: places.iter().map(|p| cup * p).collect(),
+                radius: drops.radius,
+                mass: drops.mass,
+            });
+        }
         let judge = make_judge(&assets, scene.task.goal)?;
         let contacts = world.contacts();
         let knowledge = scene.draw_knowledge(seed);
@@ -173,6 +206,7 @@ impl Lab {
             contacts,
             force: 0.0,
             in_table: false,
+            in_fixture: false,
             incidents: Incidents::default(),
             knowledge,
             slides: Vec::new(),
@@ -211,9 +245,14 @@ impl Lab {
             self.incidents.table_hits += 1;
         }
         self.in_table = depth > TABLE_HIT;
+        let crash = self.contacts.crash_depth;
+        if crash > TABLE_HIT && !self.in_fixture {
+            self.incidents.fixture_hits += 1;
+        }
+        self.in_fixture = crash > TABLE_HIT;
         let reason = if depth > TABLE_STOP {
             Some(StopReason::Table)
-        } else if self.force > self.assets.scene.robot.force_limit {
+        } else if self.force > self.assets.scene.robot.force_limit || crash > TABLE_STOP {
             Some(StopReason::Force)
         } else {
             None
@@ -249,7 +288,7 @@ impl Lab {
                 }
             })
             .collect();
-        self.judge.step(DT * JUDGE_EVERY as f64, &seen);
+        self.judge.step(DT * JUDGE_EVERY as f64, &seen, &self.world.drops());
     }
 
     /// Simulated time since the lab began, s.
@@ -379,7 +418,10 @@ impl Lab {
     /// Poses in base_link of everything to draw, in the order of [`LabAssets::instances`].
     pub fn render_poses(&self) -> Vec<Pose> {
         let objects = (0..self.world.object_count()).map(|i| self.world.object_pose(i));
-        objects.chain(self.world.link_poses()).chain(self.world.finger_poses()).collect()
+        let drops = self.world.drops().into_iter();
+        let drops = drops.map(|p: Point3<f64>| Pose::translation(p.x, p.y, p.z));
+        let robot = self.world.link_poses().into_iter().chain(self.world.finger_poses());
+        objects.chain(robot).chain(drops).collect()
     }
 
     /// Everything to draw except table and background: objects, arm, gripper.
@@ -400,5 +442,20 @@ fn make_judge(assets: &LabAssets, goal: PlacingGoal) -> Result<Judge, Simulation
         Ok((i, assets.files[i].symmetry.clone()))
     };
     let (moving, reference) = (of(&scene.task.moving)?, of(&scene.task.reference)?);
-    Ok(Judge::new(scene.task.success, goal, moving, reference))
+    let judge = Judge::new(scene.task.success, goal, moving, reference);
+    Ok(judge.with_rule(scene.task.rule))
+}
+
+fn mount_of(scene: &Scene, mount: &SceneMount) -> Result<Mount, SimulationError> {
+    Ok(match mount {
+        SceneMount::Free => Mount::Free,
+        SceneMount::Fixed => Mount::Fixed,
+        SceneMount::Slider(s) => Mount::Slider(Slider {
+            base: scene.index_of(&s.base)?,
+            axis: s.axis,
+            travel: s.travel,
+            friction: s.friction,
+            comes_free: s.comes_free,
+        }),
+    })
 }

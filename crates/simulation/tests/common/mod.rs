@@ -1,12 +1,15 @@
 //! Helpers of the physics tests: a mug, a coaster, and a hand-written tool motion.
 #![allow(dead_code)]
 
+pub mod script;
+
 use std::path::Path;
 use tdv_geometry::nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
 use tdv_geometry::{Pose, pose_from_xyz_rpy, smooth_step};
 use tdv_rendering::ObjectFile;
 use tdv_simulation::arm::link_frames;
 use tdv_simulation::gripper::{FingerDrive, STROKE, TCP_OFFSET};
+use tdv_simulation::mount::Mount;
 use tdv_simulation::parts::Part;
 use tdv_simulation::world::{Body, DT, World, WorldConfig};
 
@@ -59,6 +62,7 @@ pub fn object(name: &str, pose: Pose) -> Body {
         friction: file.friction,
         parts: file.collision.iter().map(Part::from).collect(),
         pose,
+        mount: Mount::Free,
     }
 }
 

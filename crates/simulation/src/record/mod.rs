@@ -1,8 +1,14 @@
-//! A scripted demonstration: a hand takes an upright round object, carries it over and puts it down
-//! on another one, before the RGB-D camera.
+//! A scripted demonstration: a hand takes something, moves it and leaves it, before the RGB-D camera.
+//! Placing a cup is written out here; the other tasks are tables of phases ([`demonstration`]).
 //!
 //! The motion is kinematic (minimum-jerk channels, the held object fixed to the palm) and the images
 //! go through the sensor model. Ground truth comes beside each frame and is for evaluation only.
+
+mod phases;
+mod tasks;
+
+pub use phases::{Grip, Phase, Script};
+pub use tasks::{TASKS, TaskDemo, demonstration};
 
 use crate::avatar::{GraspFit, GraspTarget, HandPose, HandShape, Skin, fit_grasp, tool_from_hand};
 use crate::backdrop::{Backdrop, BackdropConfig, FIRST_FREE_ID};
@@ -48,6 +54,16 @@ pub struct DemoObject {
     pub mesh: Mesh,
 }
 
+/// How the hand moves.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub enum Motion {
+    /// Takes an upright object, carries it in a human arc and puts it down upright.
+    #[default]
+    Placing,
+    /// By a table of phases.
+    Script(Script),
+}
+
 /// What is shown. Poses in base_link.
 #[derive(Debug, Clone)]
 pub struct DemoConfig {
@@ -63,7 +79,9 @@ pub struct DemoConfig {
     pub reference: Pose,
     /// Where the moving object ends (upright).
     pub moving_end: Pose,
-    /// How high the object is lifted (m).
+    /// How the hand moves.
+    pub motion: Motion,
+    /// How high the object is lifted (m) when it is placed; a script says so itself.
     pub lift: f64,
     /// The moving object as the grasp sees it.
     pub target: GraspTarget,
@@ -97,6 +115,7 @@ impl DemoConfig {
             moving_start: pose_from_xyz_rpy([start[0], start[1], 0.0], [0.0, 0.0, start[2]]),
             reference,
             moving_end: pose_from_xyz_rpy([0.45, -0.22, 0.008], [0.0, 0.0, 0.1]),
+            motion: Motion::Placing,
             lift: 0.12,
             target: GraspTarget::mug(),
             camera: look_at(&Point3::new(1.04, -0.05, 0.58), &Point3::new(0.49, -0.05, 0.14)),
@@ -127,6 +146,9 @@ impl DemoConfig {
             if !p.iter().all(|v| v.is_finite() && v.abs() < 5.0) {
                 return bad(field, format!("position {p:?} is not finite or beyond 5 m"));
             }
+        }
+        if let Motion::Script(script) = &self.motion {
+            return script.problem().map_or(Ok(()), |reason| bad("motion", reason));
         }
         for (field, pose) in
             [("moving_start", &self.moving_start), ("moving_end", &self.moving_end)]
@@ -192,6 +214,7 @@ pub struct Recorder {
     grasp: GraspFit,
     moving: DemoObject,
     reference: DemoObject,
+    others: Vec<(DemoObject, Pose)>,
     backdrop: Backdrop,
     sensor: RgbdSensor,
     exposure: SensorFrame,
@@ -213,7 +236,15 @@ impl Recorder {
         let backdrop = Backdrop::generate(&config.backdrop, config.seed);
         let sensor = RgbdSensor::new(config.sensor.clone(), config.seed);
         let exposure = SensorFrame::default();
-        Ok(Self { config, grasp, moving, reference, backdrop, sensor, exposure })
+        let others = Vec::new();
+        Ok(Self { config, grasp, moving, reference, others, backdrop, sensor, exposure })
+    }
+
+    /// With things that stand there and are not touched, and their poses.
+    #[must_use]
+    pub fn with_others(mut self, others: Vec<(DemoObject, Pose)>) -> Self {
+        self.others = others;
+        self
     }
 
     /// What is shown.
@@ -228,7 +259,11 @@ impl Recorder {
 
     /// How many frames there are.
     pub fn frames(&self) -> usize {
-        (script::END * self.config.rate).floor() as usize + 1
+        let end = match &self.config.motion {
+            Motion::Placing => script::END,
+            Motion::Script(s) => s.duration(),
+        };
+        (end * self.config.rate).floor() as usize + 1
     }
 
     /// Ground truth of frame `index`, without rendering.
@@ -236,12 +271,14 @@ impl Recorder {
         let t = index as f64 / self.config.rate;
         let (hand, object, contact) = self.state(t);
         let joints = self.config.shape.joints(&hand);
+        let mut objects = BTreeMap::from([
+            (self.moving.name.clone(), object),
+            (self.reference.name.clone(), self.config.reference),
+        ]);
+        objects.extend(self.others.iter().map(|(o, pose)| (o.name.clone(), *pose)));
         DemoTruth {
             stamp: self.config.start.plus(t),
-            objects: BTreeMap::from([
-                (self.moving.name.clone(), object),
-                (self.reference.name.clone(), self.config.reference),
-            ]),
+            objects,
             joints,
             contact,
             tool: tool_from_hand(&joints),
@@ -262,6 +299,9 @@ impl Recorder {
             id: REFERENCE_ID,
         });
         items.push(SceneItem { mesh: &skin, pose: Pose::identity(), id: HAND_ID });
+        for (k, (other, pose)) in self.others.iter().enumerate() {
+            items.push(SceneItem { mesh: &other.mesh, pose: *pose, id: HAND_ID + 1 + k as u16 });
+        }
         self.sensor.capture(
             &self.config.camera,
             &items,
@@ -281,6 +321,9 @@ impl Recorder {
     fn state(&self, t: f64) -> (HandPose, Pose, bool) {
         use script::{CARRY, CLOSE, DESCEND, LEAVE, LIFT, LOWER, OPEN, PREPARE, REACH, RETREAT};
         let c = &self.config;
+        if let Motion::Script(script) = &c.motion {
+            return script.state(t, &c.moving_start, &self.grasp, self.sway(t));
+        }
         let contact = (CLOSE[1]..OPEN[0]).contains(&t);
         // The frame that the object has while it is held, and that the hand follows throughout.
         let carried = channel(t, CARRY);

@@ -1,11 +1,15 @@
-//! The judge of a placing trial, from the lab's truth.
+//! The judge of a trial, from the lab's truth. What counts as done is a [`Rule`].
 //!
-//! Success: the object's centre within 15 mm of the target in the plane, upright within 10 deg, yaw
+//! Success of placing: the object's centre within 15 mm of the target in the plane, upright within 10 deg, yaw
 //! within 10 deg unless it is rotationally symmetric, released, at rest for 1 s, nothing else knocked
 //! over, within 60 s.
 
+mod rule;
+
+pub use rule::{Measured, Rule};
+
 use serde::{Deserialize, Serialize};
-use tdv_geometry::nalgebra::{Translation3, UnitQuaternion, Vector3};
+use tdv_geometry::nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 use tdv_geometry::{Pose, Symmetry, yaw_of};
 
 /// The numbers of the definition.
@@ -75,6 +79,9 @@ pub struct Verdict {
     pub released: bool,
     /// Seconds since the trial began.
     pub elapsed: f64,
+    /// What the task's rule looks at.
+    #[serde(default)]
+    pub measured: Measured,
 }
 
 /// Slower than this an object is at rest: m/s and rad/s.
@@ -88,6 +95,7 @@ const HOPELESS: f64 = 3.0;
 #[derive(Debug, Clone)]
 pub struct Judge {
     config: SuccessConfig,
+    rule: Rule,
     goal: PlacingGoal,
     moving: usize,
     reference: usize,
@@ -127,9 +135,11 @@ impl Judge {
             tilt_rad: 0.0,
             released: true,
             elapsed: 0.0,
+            measured: Measured::default(),
         };
         Self {
             config,
+            rule: Rule::default(),
             goal,
             moving,
             reference,
@@ -139,6 +149,13 @@ impl Judge {
             down_for: 0.0,
             verdict,
         }
+    }
+
+    /// The same judge for another kind of task.
+    #[must_use]
+    pub fn with_rule(mut self, rule: Rule) -> Self {
+        self.rule = rule;
+        self
     }
 
     /// The verdict so far.
@@ -154,8 +171,9 @@ impl Judge {
         frame * Pose::from_parts(at, upright(self.goal.yaw))
     }
 
-    /// One look at the world, `dt` seconds after the last.
-    pub fn step(&mut self, dt: f64, objects: &[Observed]) -> &Verdict {
+    /// One look at the world, `dt` seconds after the last. `drops` are the centres of what is poured
+    /// (m, base_link), if there are any.
+    pub fn step(&mut self, dt: f64, objects: &[Observed], drops: &[Point3<f64>]) -> &Verdict {
         if self.verdict.finished {
             return &self.verdict;
         }
@@ -177,6 +195,7 @@ impl Judge {
             self.moving_symmetry.distance(&flat, &goal).1
         };
         self.verdict.released = !moving.touched;
+        self.verdict.measured = self.rule.measure(moving, reference, drops);
 
         if let Some(o) = objects.iter().find(|o| o.fallen) {
             return self.finish(false, format!("{} fell off the table", o.name));
@@ -197,9 +216,9 @@ impl Judge {
         let missing = self.missing(moving.name, at_rest);
         self.held_for = if missing.is_none() { self.held_for + dt } else { 0.0 };
         if self.held_for >= self.config.rest {
-            return self.finish(true, "placed".into());
+            return self.finish(true, self.rule.done().into());
         }
-        let reason = missing.unwrap_or_else(|| "placed, waiting for rest".into());
+        let reason = missing.unwrap_or_else(|| format!("{}, waiting for rest", self.rule.done()));
         if self.verdict.elapsed >= self.config.limit {
             return self.finish(false, format!("time is up: {reason}"));
         }
@@ -219,6 +238,23 @@ impl Judge {
     fn missing(&self, name: &str, at_rest: bool) -> Option<String> {
         let v = &self.verdict;
         let c = &self.config;
+        if self.rule != Rule::Placing {
+            let missing = self.rule.missing(name, &v.measured, v.tilt_rad, c);
+            if missing.is_some() || !self.rule.wants_release() {
+                return missing;
+            }
+        } else if let Some(missing) = self.misplaced(name) {
+            return Some(missing);
+        }
+        if !v.released {
+            return Some(format!("{name} is still touched by the robot"));
+        }
+        (!at_rest).then(|| format!("{name} is not at rest"))
+    }
+
+    fn misplaced(&self, name: &str) -> Option<String> {
+        let v = &self.verdict;
+        let c = &self.config;
         if v.error_m > c.distance {
             return Some(format!("{name} is {:.0} mm from its target", v.error_m * 1e3));
         }
@@ -228,10 +264,7 @@ impl Judge {
         if v.error_rad.to_degrees() > c.yaw_deg {
             return Some(format!("{name} is turned by {:.0} deg", v.error_rad.to_degrees()));
         }
-        if !v.released {
-            return Some(format!("{name} is still touched by the robot"));
-        }
-        (!at_rest).then(|| format!("{name} is not at rest"))
+        None
     }
 
     fn finish(&mut self, success: bool, reason: String) -> &Verdict {
@@ -267,7 +300,7 @@ mod tests {
                 seen("coaster", coaster),
             ];
             change(j.verdict().elapsed, &mut o);
-            if j.step(0.02, &o).finished {
+            if j.step(0.02, &o, &[]).finished {
                 return j.verdict().clone();
             }
         }
@@ -302,6 +335,70 @@ mod tests {
         }
         let v = run(judge(0.45), |_, o| o[0].fallen = true);
         assert!(v.reason.contains("fell off"));
+    }
+
+    /// Runs one rule with the moving object at `at` in the reference's frame for 1.5 s.
+    fn ruled(rule: Rule, at: [f64; 3], touched: bool, drops: &[Point3<f64>]) -> Verdict {
+        let reference = pose_from_xyz_rpy([0.45, -0.22, 0.0], [0.0, 0.0, 0.7]);
+        let mut j = judge(0.0).with_rule(rule);
+        for _ in 0..75 {
+            let mut o = [
+                seen("mug", reference * Pose::translation(at[0], at[1], at[2])),
+                seen("coaster", reference),
+            ];
+            o[0].touched = touched;
+            j.step(0.02, &o, drops);
+        }
+        j.verdict().clone()
+    }
+
+    #[test]
+    fn drops_are_counted_in_the_cup() {
+        let rule = Rule::Pouring { share: 0.8, radius: 0.04, height: 0.08 };
+        let mut drops = vec![Point3::new(0.45, -0.22, 0.02); 80];
+        drops.extend(vec![Point3::new(0.45, -0.17, 0.02); 20]);
+        let v = ruled(rule, [0.1, 0.0, 0.3], true, &drops);
+        assert!(v.success && v.measured == Measured::Drops { inside: 80, total: 100 }, "{v:?}");
+        drops[0].z = 0.09;
+        let v = ruled(rule, [0.1, 0.0, 0.3], true, &drops);
+        assert!(!v.success && v.reason.contains("79 of 100"), "{v:?}");
+        assert!(ruled(rule, [0.1, 0.0, 0.3], true, &[]).reason.contains("no drops"));
+    }
+
+    #[test]
+    fn a_ring_has_to_be_down_round_the_axis_and_released() {
+        let rule = Rule::Ring { distance: 0.004, below: 0.06 };
+        assert!(ruled(rule, [0.002, 0.0, 0.01], false, &[]).success);
+        for (at, touched, word) in [
+            ([0.006, 0.0, 0.01], false, "from the axis"),
+            ([0.0, 0.0, 0.08], false, "too high"),
+            ([0.0, 0.0, 0.01], true, "touched"),
+        ] {
+            let v = ruled(rule, at, touched, &[]);
+            assert!(!v.success && v.reason.contains(word), "{word}: {v:?}");
+        }
+    }
+
+    #[test]
+    fn travel_depth_and_distance_are_measured_in_the_reference() {
+        let opened = Rule::Opened { axis: [1.0, 0.0, 0.0], travel: 0.1 };
+        let inserted =
+            Rule::Inserted { at: [0.04, 0.0], mouth: 0.03, distance: 0.004, depth: 0.018 };
+        let pulled = Rule::Pulled { distance: 0.08 };
+        for (rule, good, bad) in [
+            (opened, [0.101, 0.0, 0.0], [0.099, 0.0, 0.0]),
+            (opened, [0.101, 0.02, 0.0], [0.0, 0.2, 0.0]),
+            (inserted, [0.042, 0.0, 0.01], [0.042, 0.0, 0.02]),
+            (inserted, [0.04, 0.0, 0.01], [-0.04, 0.0, 0.01]),
+            (pulled, [0.0, 0.0, 0.081], [0.0, 0.0, 0.079]),
+        ] {
+            // Held or not makes no difference.
+            assert!(ruled(rule, good, true, &[]).success, "{rule:?}");
+            assert!(!ruled(rule, bad, false, &[]).success, "{rule:?}");
+        }
+        assert!(
+            Rule::Pulled { distance: f64::NAN }.problem().is_some() && opened.problem().is_none()
+        );
     }
 
     #[test]
