@@ -47,7 +47,8 @@ fn two_objects_in_turn() {
     let mut b = two_objects();
     b.run(80.0);
     assert_eq!(b.last_code(), S::Done, "{:?} {}", b.log.codes, b.last_sentence());
-    let one = [S::Following, S::Grasping, S::AwaitingAttach, S::Following, S::Releasing, S::Retreating];
+    let one =
+        [S::Following, S::Grasping, S::AwaitingAttach, S::Following, S::Releasing, S::Retreating];
     in_order(&b, &[&one[..], &one[..], &[S::Done]].concat());
     assert_eq!(b.log.ends.len(), 4);
     assert!(b.log.ends.iter().all(|e| e.0 < 0.002), "{:?}", b.log.ends);

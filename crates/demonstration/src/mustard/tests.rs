@@ -117,10 +117,8 @@ fn the_hand_alone_is_a_task_too() {
     assert_eq!(report.procedures[0].rules["lead_in"], 20);
     for t in &set.procedures[0].trajectories[..20] {
         for p in follow.trajectory.poses().step_by(4) {
-            let near = t
-                .poses()
-                .map(|q| tdv_geometry::twist_arc(p, q, 0.1))
-                .fold(f64::INFINITY, f64::min);
+            let near =
+                t.poses().map(|q| tdv_geometry::twist_arc(p, q, 0.1)).fold(f64::INFINITY, f64::min);
             assert!(near < 0.012, "{near} m from the path");
         }
     }

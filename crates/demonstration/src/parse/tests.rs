@@ -296,10 +296,7 @@ fn every_defect_has_its_own_error() {
 
 fn cup_and(procedures: &[(&str, &str, &str, GripperEnd)]) -> Task {
     let mut t = task();
-    t.procedures = procedures
-        .iter()
-        .map(|(n, m, r, e)| ProcedureSpec::new(n, m, r, *e))
-        .collect();
+    t.procedures = procedures.iter().map(|(n, m, r, e)| ProcedureSpec::new(n, m, r, *e)).collect();
     t
 }
 
@@ -499,12 +496,8 @@ fn a_hand_task_with_a_grip_in_the_middle() {
             hand: Some(hand(&tool, open)),
         });
     }
-    let mut t = cup_and(&[
-        ("approach", "tcp", "drawer", Close),
-        ("pull", "tcp", "drawer", Open),
-    ]);
-    (t.kind, t.moving_object, t.reference_object) =
-        (TaskKind::Hand, "tcp".into(), "drawer".into());
+    let mut t = cup_and(&[("approach", "tcp", "drawer", Close), ("pull", "tcp", "drawer", Open)]);
+    (t.kind, t.moving_object, t.reference_object) = (TaskKind::Hand, "tcp".into(), "drawer".into());
     t.objects = BTreeMap::from([(
         "drawer".to_string(),
         crate::ObjectShape {
@@ -521,13 +514,16 @@ fn a_hand_task_with_a_grip_in_the_middle() {
     assert!((50..60).contains(&bounds[0]) && (112..122).contains(&bounds[1]), "{bounds:?}");
     assert!(d.grasp.is_none() && d.grasp_of(1).is_none());
     assert_eq!(d.procedures[0].goal(), d.procedures[1].trajectory.first().pose);
-    let moved = d.procedures[1].goal().translation.vector - d.procedures[0].goal().translation.vector;
+    let moved =
+        d.procedures[1].goal().translation.vector - d.procedures[0].goal().translation.vector;
     assert!((moved.x + 0.12).abs() < 0.005, "{moved}");
     let (set, report) = generate(&d, &t, 10, 1).unwrap();
     assert_eq!(report.procedures[0].rules["lead_in"], 10);
-    assert!(set.procedures[1].trajectories[..10].iter().all(|t| {
-        pose_distance(&t.first().pose, &d.procedures[0].goal()).0 < 0.02
-    }));
+    assert!(
+        set.procedures[1].trajectories[..10]
+            .iter()
+            .all(|t| { pose_distance(&t.first().pose, &d.procedures[0].goal()).0 < 0.02 })
+    );
     // A hand that never closes leaves no boundary to see.
     for f in &mut frames {
         f.hand = f.hand.map(|mut h| {

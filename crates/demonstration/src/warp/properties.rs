@@ -51,7 +51,8 @@ fn every_mode_starts_exactly_and_ends_as_it_promises() {
             _ => {}
         }
         let alpha = [0.25, 0.02, 0.85][case % 3];
-        let same = |p: &Pose, q: &Pose| pose_distance(p, q).0 < 1e-9 && pose_distance(p, q).1 < 1e-7;
+        let same =
+            |p: &Pose, q: &Pose| pose_distance(p, q).0 < 1e-9 && pose_distance(p, q).1 < 1e-7;
 
         let config = WarpConfig { alpha, ..Default::default() };
         let ours = warp_repaired(demo, &start, &config).poses;
@@ -99,8 +100,11 @@ fn every_mode_starts_exactly_and_ends_as_it_promises() {
             }
         }
     }
-    println!("{} starts: movement primitives miss by up to {:.2} mm, the paper refuses {refused}",
-        starts(), 1e3 * worst_dmp);
+    println!(
+        "{} starts: movement primitives miss by up to {:.2} mm, the paper refuses {refused}",
+        starts(),
+        1e3 * worst_dmp
+    );
 }
 
 #[test]

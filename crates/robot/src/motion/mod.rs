@@ -17,7 +17,7 @@ pub use params::{ControllerParams, GripParams};
 pub use plan::PlanError;
 pub use projection::Refusal;
 pub use types::{
-    Attach, ControllerInput, ControllerOutput, GripperEnd, GripperFeedback, GripperRequest, JointPath,
-    JointState, Moving, ObjectPlace, ObjectReport, PathPoint, Plan, ProcedureState, Requests,
-    Status, StatusCode,
+    Attach, ControllerInput, ControllerOutput, GripperEnd, GripperFeedback, GripperRequest,
+    JointPath, JointState, Moving, ObjectPlace, ObjectReport, PathPoint, Plan, ProcedureState,
+    Requests, Status, StatusCode,
 };

@@ -72,15 +72,32 @@ pub(super) enum Purpose {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Phase {
     Start,
-    Open { purpose: Purpose, sent: Option<(u32, Stamp)> },
+    Open {
+        purpose: Purpose,
+        sent: Option<(u32, Stamp)>,
+    },
     Follow,
-    Close { sent: Option<(u32, Stamp)> },
-    AwaitAttach { since: Stamp },
-    Dwell { since: Stamp },
-    Retreat { purpose: Purpose, script: Option<Script> },
+    Close {
+        sent: Option<(u32, Stamp)>,
+    },
+    AwaitAttach {
+        since: Stamp,
+    },
+    Dwell {
+        since: Stamp,
+    },
+    Retreat {
+        purpose: Purpose,
+        script: Option<Script>,
+    },
     /// The switch policy is to go back: to the first procedure, or to the one that grasps.
-    AwaitReset { asked: Option<Stamp>, regrasp: bool },
-    Homing { script: Option<Script> },
+    AwaitReset {
+        asked: Option<Stamp>,
+        regrasp: bool,
+    },
+    Homing {
+        script: Option<Script>,
+    },
     Done,
 }
 
