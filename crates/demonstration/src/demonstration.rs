@@ -1,4 +1,5 @@
-use crate::{Canonical, DemonstrationError, file};
+use crate::sequence::{self, Role, Step};
+use crate::{Canonical, DemonstrationError, GripperEnd, Hold, file};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -18,9 +19,9 @@ pub struct FrameObservation {
 
 /// One procedure of a demonstration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(from = "ProcedureFile")]
 pub struct ProcedureDemo {
-    /// `reach`, `place` or `follow`.
+    /// As in the task: `reach`, `place`, `follow` unless it lists its own.
     pub name: String,
     /// The frame that moves: an object's name or `tcp`.
     pub moving: String,
@@ -34,6 +35,43 @@ pub struct ProcedureDemo {
     /// Rotations of the reference frame that change nothing.
     #[serde(default)]
     pub reference_symmetry: Symmetry,
+    /// What the gripper does at the end.
+    pub end: GripperEnd,
+    /// `T_base_reference` during the procedure, where it is not the demonstration's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reference_pose: Option<Pose>,
+}
+
+/// File form: older files do not say what the gripper does, the procedure's name does.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ProcedureFile {
+    name: String,
+    moving: String,
+    reference: String,
+    trajectory: PoseTrajectory,
+    #[serde(default)]
+    moving_symmetry: Symmetry,
+    #[serde(default)]
+    reference_symmetry: Symmetry,
+    end: Option<GripperEnd>,
+    #[serde(default)]
+    reference_pose: Option<Pose>,
+}
+
+impl From<ProcedureFile> for ProcedureDemo {
+    fn from(f: ProcedureFile) -> Self {
+        Self {
+            end: f.end.unwrap_or_else(|| GripperEnd::of_name(&f.name)),
+            name: f.name,
+            moving: f.moving,
+            reference: f.reference,
+            trajectory: f.trajectory,
+            moving_symmetry: f.moving_symmetry,
+            reference_symmetry: f.reference_symmetry,
+            reference_pose: f.reference_pose,
+        }
+    }
 }
 
 impl ProcedureDemo {
@@ -58,13 +96,13 @@ pub struct Demonstration {
     pub text: String,
     /// The procedures in order.
     pub procedures: Vec<ProcedureDemo>,
-    /// `T_object_tcp` of the grasp; none for a hand task.
+    /// `T_object_tcp` of the first grasp; none for a hand task. Later ones: [`Demonstration::grasp_of`].
     pub grasp: Option<Pose>,
     /// The object's width between the fingers (m), if the task knows it.
     pub grasp_width: Option<f64>,
-    /// `T_base_reference` during the demonstration, in its canonical orientation.
+    /// `T_base_reference` of the task's reference object, in its canonical orientation.
     pub reference_pose: Pose,
-    /// `T_base_object` before the grasp; none for a hand task.
+    /// `T_base_object` before the first grasp; none for a hand task.
     pub object_start: Option<Pose>,
 }
 
@@ -100,6 +138,45 @@ impl Demonstration {
         self.procedures.iter().find(|p| p.name == name)
     }
 
+    fn steps(&self) -> Vec<Step<'_>> {
+        self.procedures
+            .iter()
+            .map(|p| Step { moving: &p.moving, reference: &p.reference, end: p.end })
+            .collect()
+    }
+
+    /// What is held during each procedure, in order.
+    pub fn holds(&self) -> Vec<Hold> {
+        sequence::holds(&self.steps())
+    }
+
+    /// The procedure to begin again with when `procedure` fails: the one that grasps what it presupposes,
+    /// else itself.
+    pub fn retry_from(&self, procedure: usize) -> usize {
+        let hold = self.holds().into_iter().nth(procedure);
+        hold.map_or(0, |h| if h.grip { h.grasped_by.unwrap_or(0) } else { procedure })
+    }
+
+    pub(crate) fn role(&self, procedure: usize) -> Role {
+        sequence::role(&self.steps(), procedure)
+    }
+
+    /// `T_object_tcp` while the object of procedure `procedure` is carried; none where none is.
+    pub fn grasp_of(&self, procedure: usize) -> Option<Pose> {
+        let moving = &self.procedures.get(procedure)?.moving;
+        if moving == sequence::TCP {
+            return None;
+        }
+        let by = self.holds().get(procedure)?.grasped_by;
+        by.map(|g| self.procedures[g].goal()).or(self.grasp)
+    }
+
+    /// `T_base_reference` during a procedure, see [`ProcedureDemo::reference_pose`].
+    pub fn reference_of(&self, procedure: usize) -> Pose {
+        let own = self.procedures.get(procedure).and_then(|p| p.reference_pose);
+        own.unwrap_or(self.reference_pose)
+    }
+
     /// Identity of the content, 16 hexadecimal digits.
     pub fn hash(&self) -> String {
         let mut h = file::Fnv::new();
@@ -108,6 +185,13 @@ impl Demonstration {
         for p in &self.procedures {
             for t in [&p.name, &p.moving, &p.reference] {
                 h.text(t);
+            }
+            // Files from before this was written keep their identity.
+            if p.end != GripperEnd::of_name(&p.name) {
+                h.bytes(&[p.end as u8]);
+            }
+            if let Some(pose) = &p.reference_pose {
+                hash_pose(&mut h, pose);
             }
             for q in p.trajectory.points() {
                 h.bytes(&q.stamp.0.to_le_bytes());
@@ -146,6 +230,8 @@ mod tests {
                 trajectory: PoseTrajectory::from_poses(&poses, 1.0 / 30.0).unwrap(),
                 moving_symmetry: Symmetry::None,
                 reference_symmetry: Symmetry::None,
+                end: GripperEnd::Open,
+                reference_pose: None,
             }],
             grasp: Some(poses[3]),
             grasp_width: Some(0.064),
@@ -166,6 +252,20 @@ mod tests {
         let mut other = d.clone();
         other.text.push('!');
         assert_ne!(other.hash(), d.hash());
+    }
+
+    #[test]
+    fn older_files_say_by_the_name_what_the_gripper_does() {
+        let text = serde_json::to_string(&example()).unwrap();
+        assert!(text.contains(r#""end":"open""#));
+        let old = text.replace(r#","end":"open""#, "");
+        assert_eq!(serde_json::from_str::<Demonstration>(&old).unwrap(), example());
+        let follow = old.replace(r#""name":"place""#, r#""name":"follow""#);
+        let follow: Demonstration = serde_json::from_str(&follow).unwrap();
+        assert_eq!(follow.procedures[0].end, GripperEnd::None);
+        assert!(
+            serde_json::from_str::<Demonstration>(&text.replace("\"end\"", "\"ende\"")).is_err()
+        );
     }
 
     #[test]

@@ -142,6 +142,64 @@ pub enum DemonstrationError {
         /// The limit (s).
         allowed: f64,
     },
+    /// A rotation that is none.
+    #[error(
+        "frame {frame}: the quaternion of '{name}' has norm {norm}, not 1; the observation is broken at its source"
+    )]
+    NotARotation {
+        /// Frame index.
+        frame: usize,
+        /// Which object.
+        name: String,
+        /// Norm of the quaternion.
+        norm: f64,
+    },
+    /// A procedure in which nothing moves.
+    #[error(
+        "procedure '{procedure}': all {poses} poses are the same; is it a recording of the task, and do its \
+         segments have a length?"
+    )]
+    StandsStill {
+        /// Name of the procedure.
+        procedure: String,
+        /// How many.
+        poses: usize,
+    },
+    /// Where one procedure ends and the next begins cannot be seen.
+    #[error(
+        "procedure '{procedure}': {reason}; give its frames in a segments file (`tdv teach --segments`)"
+    )]
+    NoBoundary {
+        /// Name of the procedure.
+        procedure: String,
+        /// What is missing.
+        reason: String,
+    },
+    /// A procedure that is not in the task or the demonstration.
+    #[error("there is no procedure {asked}; there are {known}")]
+    UnknownProcedure {
+        /// Name or number asked for.
+        asked: String,
+        /// What there is.
+        known: String,
+    },
+    /// No start is left.
+    #[error(
+        "procedure '{procedure}': no start is left: the workspace x {x:?}, y {y:?} lies within {radius} m of \
+         the reference object at {reference:?} or outside its polygon; widen it or make exclude_radius smaller"
+    )]
+    EmptyWorkspace {
+        /// Name of the procedure.
+        procedure: String,
+        /// Its x range (m).
+        x: [f64; 2],
+        /// Its y range (m).
+        y: [f64; 2],
+        /// The excluded radius (m).
+        radius: f64,
+        /// Where the reference stands (m, base_link).
+        reference: [f64; 2],
+    },
     /// Generation found too few acceptable trajectories.
     #[error(
         "procedure '{procedure}': only {accepted} of {wanted} trajectories after {tried} starts; rejected: {reasons}"

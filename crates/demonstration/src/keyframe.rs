@@ -46,6 +46,17 @@ pub struct Keyframes {
     pub evidence: f64,
 }
 
+impl Keyframes {
+    /// As frames of a recording in which the looked-at part begins at frame `offset`.
+    pub(crate) fn moved(mut self, offset: usize) -> Self {
+        self.contact += offset;
+        self.onset += offset;
+        self.settled += offset;
+        self.release = self.release.map(|r| r + offset);
+        self
+    }
+}
+
 fn median_point(points: impl Iterator<Item = Point3<f64>> + Clone) -> Option<Point3<f64>> {
     let component = |k: usize| {
         let mut v: Vec<f64> = points.clone().map(|p| p[k]).collect();

@@ -20,7 +20,7 @@
 use crate::filter::robust_mean;
 use crate::{
     Demonstration, DemonstrationError, FrameObservation, ParseConfig, ParseReport, RepairKind,
-    Task, file, parse,
+    Task, TaskKind, file, parse,
 };
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -65,6 +65,8 @@ struct Recording {
     object: Vec<[[f64; 4]; 4]>,
 }
 
+/// The bottle's name where the task does not speak of it.
+const BOTTLE: &str = "bottle";
 /// Largest deviation from orthonormal that counts as rounding.
 const ORTHONORMAL: f64 = 0.02;
 
@@ -147,15 +149,21 @@ fn to_frames(
     mut notes: ParseReport,
 ) -> Result<(Vec<FrameObservation>, ParseReport), DemonstrationError> {
     let n = poses.len();
-    let name = task.moving_object.clone();
+    // A hand task follows the hand alone: the bottle still says where the table is.
+    let hand_task = task.kind == TaskKind::Hand;
+    let name = if hand_task { BOTTLE.to_string() } else { task.moving_object.clone() };
     if n < 30 {
         return Err(DemonstrationError::TooFewFrames { have: n, need: 30 });
     }
-    let Some(shape) = task.moving_shape() else {
-        return Err(DemonstrationError::Invalid {
-            what: format!("task '{}'", task.name),
-            problems: vec![format!("objects has no entry for '{name}'")],
-        });
+    let bottom = match task.moving_shape() {
+        Some(shape) => shape.bottom,
+        None if hand_task => 0.0,
+        None => {
+            return Err(DemonstrationError::Invalid {
+                what: format!("task '{}'", task.name),
+                problems: vec![format!("objects has no entry for '{name}'")],
+            });
+        }
     };
     let none = || DemonstrationError::TooFewFrames { have: n, need: 30 };
 
@@ -213,7 +221,7 @@ fn to_frames(
     let x = end.rotation * Vector3::x();
     let x = (x - up * x.dot(&up)).try_normalize(1e-6).ok_or_else(none)?;
     let turn = crate::path::from_axes(&x, &up.cross(&x), &up).inverse();
-    let bottom = rest.translation.vector + up * shape.bottom;
+    let bottom = rest.translation.vector + up * bottom;
     let under = turn * end.translation.vector;
     let shift =
         Vector3::new(options.disc[0] - under.x, options.disc[1] - under.y, -(turn * bottom).z);

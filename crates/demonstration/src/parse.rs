@@ -1,22 +1,25 @@
 //! From what was seen, frame by frame, to a clean demonstration. Every repair is reported.
 
 mod carry;
+mod events;
 mod grasp;
+mod hand_task;
 mod input;
+mod object_task;
+mod recording;
 mod report;
+mod segments;
 
 pub use report::{GraspChange, ParseReport, Repair, RepairKind};
+pub use segments::{Segment, Segments};
 
-use crate::filter::{FilterConfig, Sample, deflip, robust_mean, smooth};
-use crate::keyframe::{self, KeyframeConfig};
+use crate::filter::FilterConfig;
+use crate::keyframe::KeyframeConfig;
 use crate::remap::tool_track;
-use crate::{
-    Demonstration, DemonstrationError, FrameObservation, ProcedureDemo, RemapConfig, Remapped,
-    Task, TaskKind, gripper_symmetry,
-};
+use crate::{Demonstration, DemonstrationError, FrameObservation, RemapConfig, Task};
+use recording::Recording;
 use serde::{Deserialize, Serialize};
-use tdv_geometry::nalgebra::Point3;
-use tdv_geometry::{Pose, PoseTrajectory, Stamp, Symmetry, TimedPose};
+use tdv_geometry::{Pose, PoseTrajectory, Stamp, TimedPose};
 
 /// Settings of [`parse`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -38,6 +41,8 @@ pub struct ParseConfig {
     pub keyframe: KeyframeConfig,
     /// Smoothing.
     pub filter: FilterConfig,
+    /// Which frames belong to which procedure; none = found by parsing.
+    pub segments: Option<Segments>,
 }
 
 impl Default for ParseConfig {
@@ -51,16 +56,19 @@ impl Default for ParseConfig {
             remap: RemapConfig::default(),
             keyframe: KeyframeConfig::default(),
             filter: FilterConfig::default(),
+            segments: None,
         }
     }
 }
 
-/// Parses a recording of a task: object poses and hand joints in base_link, in order of time.
+/// Parses a recording of a task: object poses and hand joints in base_link, in order of time. Where one
+/// procedure ends and the next begins is seen by what is carried, by the hand's opening and closing, and by
+/// pauses, or said by [`ParseConfig::segments`]; the report has it either way.
 ///
 /// # Errors
 /// One of [`DemonstrationError`] naming what is missing: too few frames, stamps out of order, numbers
 /// that are not finite, objects or hand not seen, an object that never moves or not with the hand, a gap
-/// that is too long, a grasp that does not fit, a task with problems.
+/// that is too long, a grasp that does not fit, a boundary that cannot be seen, a task with problems.
 pub fn parse(
     frames: &[FrameObservation],
     task: &Task,
@@ -71,9 +79,17 @@ pub fn parse(
     let mut report =
         ParseReport { task: task.name.clone(), frames: frames.len(), ..Default::default() };
     let times: Vec<f64> = frames.iter().map(|f| f.stamp.since(frames[0].stamp)).collect();
-    let reference = input::reference(frames, task, config, &mut report)?;
+    note_stamps(&times, &mut report);
+    let specs = match &config.segments {
+        Some(s) => s.specs(task)?,
+        None => task.sequence(),
+    };
+    let given = config.segments.as_ref().map(|s| s.bounds(frames)).transpose()?;
     let hands: Vec<_> = frames.iter().map(|f| f.hand).collect();
     let tools = tool_track(&hands, &config.remap);
+    let recording = Recording { frames, times: &times, tools: &tools, specs: &specs, task, config };
+    // Above all the reference must be there; it is looked at in each procedure.
+    let reference = recording.reference(&task.reference_object, None, &mut report)?;
     let usable = tools.iter().flatten().filter(|t| t.valid).count();
     let need = (config.min_frames / 3).max(3);
     if usable < need {
@@ -89,193 +105,40 @@ pub fn parse(
         "frames",
         "thumb and index are nearly in line: the last orientation is carried on",
     );
-    let procedures = match task.kind {
-        TaskKind::Hand => {
-            return follow(&times, &tools, &reference, task, config, report);
-        }
-        TaskKind::Object => {
-            object_task(frames, &times, &tools, &reference, task, config, &mut report)?
-        }
-    };
-    let (procedures, grasp, width, object_start) = procedures;
+    let parsed = recording.parse(&reference, given.as_deref(), &mut report)?;
+    report.segments = Some(Segments::of(task, &specs, &parsed.bounds, frames));
     let demonstration = Demonstration {
         task: task.name.clone(),
         text: task.text.clone(),
-        procedures,
-        grasp: Some(grasp),
-        grasp_width: width,
+        procedures: parsed.procedures,
+        grasp: parsed.grasp,
+        grasp_width: parsed.width,
         reference_pose: reference,
-        object_start: Some(object_start),
+        object_start: parsed.start,
     };
     Ok((demonstration, report))
 }
 
-type ObjectParts = (Vec<ProcedureDemo>, Pose, Option<f64>, Pose);
-
-fn object_task(
-    frames: &[FrameObservation],
-    times: &[f64],
-    tools: &[Option<Remapped>],
-    reference: &Pose,
-    task: &Task,
-    config: &ParseConfig,
-    report: &mut ParseReport,
-) -> Result<ObjectParts, DemonstrationError> {
-    let missing = |name: &str| DemonstrationError::Invalid {
-        what: format!("task '{}'", task.name),
-        problems: vec![format!("objects has no entry for '{name}'")],
-    };
-    let name = &task.moving_object;
-    let shape = task.moving_shape().ok_or_else(|| missing(name))?;
-    let reference_shape = task.reference_shape().ok_or_else(|| missing(&task.reference_object))?;
-    let mut seen = input::object(frames, name, config, report)?;
-
-    // One orientation out of the equivalent ones.
-    let mut poses: Vec<Pose> = seen.iter().map(|s| s.1).collect();
-    let near = poses[0].rotation;
-    let (flips, angle) = deflip(&mut poses, &shape.symmetry, &near);
-    for (s, p) in seen.iter_mut().zip(&poses) {
-        s.1 = *p;
+/// Steps between frames that are far from the usual one.
+fn note_stamps(times: &[f64], report: &mut ParseReport) {
+    let mut steps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).collect();
+    let uneven: Vec<usize>;
+    {
+        let mut sorted = steps.clone();
+        sorted.sort_by(f64::total_cmp);
+        let usual = sorted[sorted.len() / 2];
+        uneven = (0..steps.len()).filter(|i| (steps[*i] - usual).abs() > 0.5 * usual).collect();
+        steps = sorted;
     }
-    if flips > 0 {
-        report.note(
-            RepairKind::Deflipped,
-            name,
-            flips,
-            angle.to_degrees(),
-            "deg",
-            "orientations replaced by their symmetric equivalent nearest to the frame before",
-        );
-    }
-    input::bridge(&seen, times, name, config, report)?;
-
-    let positions = {
-        let mut v: Vec<Option<Point3<f64>>> = vec![None; frames.len()];
-        for (i, p, _) in &seen {
-            v[*i] = Some(p.translation.vector.into());
-        }
-        v
-    };
-    let tips: Vec<Option<Point3<f64>>> = tools.iter().map(|t| t.map(|t| t.tips)).collect();
-    let keys = keyframe::detect(name, times, &positions, &tips, &config.keyframe)?;
-    report.keyframes = Some(keys);
-
-    let samples: Vec<Sample> = seen
-        .iter()
-        .map(|(i, pose, weight)| Sample { time: times[*i], pose: *pose, weight: *weight })
-        .collect();
-    let smoothed = smooth(&samples, times, &config.filter);
-    report.note_smoothing(name, &seen, &smoothed);
-
-    // Where it rests: all frames before, all frames after the carry.
-    let within = |range: std::ops::RangeInclusive<usize>| -> Vec<Pose> {
-        seen.iter().filter(|(i, ..)| range.contains(i)).map(|s| s.1).collect()
-    };
-    let last = keys.release.unwrap_or(frames.len() - 1).max(keys.settled);
-    let start = robust_mean(&within(0..=keys.onset)).map_or(smoothed[keys.onset], |m| m.0);
-    let end = robust_mean(&within(keys.settled..=last)).map_or(smoothed[keys.settled], |m| m.0);
-    let ends =
-        carry::rest_ends(&start, &end, reference, task, shape, reference_shape, config, report)?;
-
-    let place =
-        carry::place(&smoothed, times, &keys, &ends, reference, shape, reference_shape, report)?;
-
-    let (grasp, width) =
-        grasp::grasp(&seen, &smoothed, tools, times, &keys, &ends.0, task, report)?;
-    let reach = grasp::reach(tools, times, &keys, &ends.0, &grasp, config, report)?;
-
-    if keys.release.is_none() {
-        report.note(
-            RepairKind::ReleaseAdded,
-            name,
-            0,
-            0.0,
-            "",
-            "the recording ends before the hand lets go: release and retreat are added",
-        );
-    }
-    report.trimmed(keys.contact, keys.onset, keys.settled, last);
-    let procedures = vec![
-        ProcedureDemo {
-            name: "reach".into(),
-            moving: "tcp".into(),
-            reference: name.clone(),
-            trajectory: reach,
-            moving_symmetry: gripper_symmetry(),
-            reference_symmetry: shape.symmetry.clone(),
-        },
-        ProcedureDemo {
-            name: "place".into(),
-            moving: name.clone(),
-            reference: task.reference_object.clone(),
-            trajectory: place,
-            moving_symmetry: shape.symmetry.clone(),
-            reference_symmetry: Symmetry::None,
-        },
-    ];
-    Ok((procedures, grasp, width, ends.0))
-}
-
-/// A hand task: the gripper's path seen from the reference, standing still cut off at both ends.
-fn follow(
-    times: &[f64],
-    tools: &[Option<Remapped>],
-    reference: &Pose,
-    task: &Task,
-    config: &ParseConfig,
-    mut report: ParseReport,
-) -> Result<(Demonstration, ParseReport), DemonstrationError> {
-    let samples = grasp::tool_samples(tools, times, 0, times.len() - 1);
-    grasp::check_gap(&samples, config, "the hand")?;
-    let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
-        return Err(DemonstrationError::NoHand { usable: 0, frames: times.len(), need: 3 });
-    };
-    let span: Vec<f64> =
-        times.iter().copied().filter(|t| (first.time..=last.time).contains(t)).collect();
-    let path: Vec<Pose> =
-        smooth(&samples, &span, &config.filter).iter().map(|p| reference.inverse() * p).collect();
-    let still = |i: usize, end: &Pose| {
-        let (d, a) = tdv_geometry::pose_distance(&path[i], end);
-        d < 0.01 && a < 0.1
-    };
-    let n = path.len();
-    let a = (0..n).take_while(|i| still(*i, &path[0])).last().unwrap_or(0);
-    let b = (a..n).rev().take_while(|i| still(*i, &path[n - 1])).last().unwrap_or(n - 1);
-    if b <= a + 1 {
-        return Err(DemonstrationError::ObjectNeverMoves {
-            name: "hand".into(),
-            moved: (path[n - 1].translation.vector - path[0].translation.vector).norm(),
-            need: 0.01,
-        });
-    }
-    if a + (n - 1 - b) > 0 {
-        report.note(
-            RepairKind::DwellTrimmed,
-            "hand",
-            a + (n - 1 - b),
-            0.0,
-            "",
-            "frames of standing still cut off at the ends",
-        );
-    }
-    let trajectory = timed(&path[a..=b], &span[a..=b], "follow")?;
-    let demonstration = Demonstration {
-        task: task.name.clone(),
-        text: task.text.clone(),
-        procedures: vec![ProcedureDemo {
-            name: "follow".into(),
-            moving: "tcp".into(),
-            reference: task.reference_object.clone(),
-            trajectory,
-            moving_symmetry: gripper_symmetry(),
-            reference_symmetry: Symmetry::None,
-        }],
-        grasp: None,
-        grasp_width: None,
-        reference_pose: *reference,
-        object_start: None,
-    };
-    Ok((demonstration, report))
+    report.note_frames(
+        RepairKind::UnevenStamps,
+        "stamps",
+        &uneven,
+        steps[steps.len() - 1],
+        "s",
+        "steps between frames that differ by more than half from the usual one; everything is computed \
+         with the stamps themselves. Magnitude is the longest",
+    );
 }
 
 /// Poses with stamps counted from the first.

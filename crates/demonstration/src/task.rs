@@ -8,6 +8,7 @@ pub use config::{
     Workspace,
 };
 
+use crate::sequence::{self, GripperEnd, ProcedureSpec, TCP};
 use crate::{DemonstrationError, file};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -18,9 +19,9 @@ use tdv_geometry::{Pose, Symmetry};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TaskKind {
-    /// Procedures `reach` and `place`.
+    /// Procedures `reach` and `place`, unless others are listed.
     Object,
-    /// One procedure `follow`: the gripper seen from the reference object.
+    /// One procedure `follow`: the gripper seen from the reference object, unless others are listed.
     Hand,
 }
 
@@ -81,6 +82,9 @@ pub struct Task {
     pub reference_object: String,
     /// Scene file of the virtual lab, relative to the repository's root.
     pub scene: String,
+    /// The procedures in order; none = those of the kind, see [`Task::sequence`].
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub procedures: Vec<ProcedureSpec>,
     /// Shapes of the objects named above.
     pub objects: BTreeMap<String, ObjectShape>,
     /// Where objects may stand at the start (base_link).
@@ -130,6 +134,47 @@ impl Task {
         Err(DemonstrationError::Invalid { what: what.to_string(), problems })
     }
 
+    /// The procedures in order: those listed, or those of the kind.
+    pub fn sequence(&self) -> Vec<ProcedureSpec> {
+        if !self.procedures.is_empty() {
+            return self.procedures.clone();
+        }
+        let (moving, reference) = (&self.moving_object, &self.reference_object);
+        match self.kind {
+            TaskKind::Object => vec![
+                ProcedureSpec::new("reach", TCP, moving, GripperEnd::Close),
+                ProcedureSpec::new("place", moving, reference, GripperEnd::Open),
+            ],
+            TaskKind::Hand => vec![ProcedureSpec::new("follow", TCP, reference, GripperEnd::None)],
+        }
+    }
+
+    /// All objects that the task is about, the reference object first.
+    pub fn object_names(&self) -> Vec<String> {
+        let mut names = vec![self.reference_object.clone()];
+        if self.moving_object != TCP {
+            names.push(self.moving_object.clone());
+        }
+        for s in self.sequence() {
+            for name in [s.moving, s.reference] {
+                if name != TCP && !names.contains(&name) {
+                    names.push(name);
+                }
+            }
+        }
+        names
+    }
+
+    /// The listed procedure of that name, with what it has of its own.
+    pub(crate) fn spec(&self, name: &str) -> Option<&ProcedureSpec> {
+        self.procedures.iter().find(|s| s.name == name)
+    }
+
+    /// Where the object that a procedure grasps or carries may start.
+    pub fn workspace_of(&self, procedure: &str) -> &Workspace {
+        self.spec(procedure).and_then(|s| s.workspace.as_ref()).unwrap_or(&self.workspace)
+    }
+
     /// Shape of the moving object, if the task has it (a valid object task has).
     pub fn moving_shape(&self) -> Option<&ObjectShape> {
         self.objects.get(&self.moving_object)
@@ -168,7 +213,7 @@ impl Task {
         let mut named = vec![("reference_object", &self.reference_object)];
         match self.kind {
             TaskKind::Object => named.push(("moving_object", &self.moving_object)),
-            TaskKind::Hand if self.moving_object != "tcp" => p.push(format!(
+            TaskKind::Hand if self.moving_object != TCP => p.push(format!(
                 "moving_object of a hand task is the gripper, 'tcp', not '{}'",
                 self.moving_object
             )),
@@ -179,9 +224,22 @@ impl Task {
                 p.push(format!("objects has no entry for {field} '{name}'"));
             }
         }
+        let known = |name: &str| self.objects.contains_key(name);
+        if !self.procedures.is_empty() {
+            p.extend(sequence::problems(&self.procedures, known));
+        }
+        for (i, s) in self.procedures.iter().enumerate() {
+            if let Some(w) = &s.workspace {
+                w.validate(&format!("procedures[{i}].workspace"), &mut p);
+            }
+            if let Some(g) = &s.grasp {
+                g.validate(&format!("procedures[{i}].grasp"), &mut p);
+            }
+        }
+        let names = self.object_names();
         for (name, shape) in &self.objects {
-            if name != &self.moving_object && name != &self.reference_object {
-                p.push(format!("objects.{name} is neither the moving nor the reference object"));
+            if !names.contains(name) {
+                p.push(format!("objects.{name} is in no procedure of the task"));
             }
             for (field, v) in [("radius", shape.radius), ("height", shape.height)] {
                 if !(v > 0.001 && v < 1.0) {
@@ -202,8 +260,8 @@ impl Task {
         {
             p.push(format!("target_yaw.fixed {deg} must be within -180..180 deg"));
         }
-        self.workspace.validate(&mut p);
-        self.grasp.validate(&mut p);
+        self.workspace.validate("workspace", &mut p);
+        self.grasp.validate("grasp", &mut p);
         self.generation.validate(&mut p);
         p
     }
@@ -249,6 +307,27 @@ mod tests {
         assert!(Task::from_yaml(&text).is_ok(), "{text}");
         let e = Task::from_yaml(&format!("{text}\nspeeed: 3\n")).unwrap_err().to_string();
         assert!(e.contains("speeed"), "{e}");
+    }
+
+    #[test]
+    fn listed_procedures_replace_those_of_the_kind() {
+        let cup = load("cup_on_coaster.yaml");
+        let names = |t: &Task| t.sequence().iter().map(|s| s.name.clone()).collect::<Vec<_>>();
+        assert_eq!(names(&cup), ["reach", "place"]);
+        let mut text = serde_saphyr::to_string(&cup).unwrap();
+        assert!(!text.contains("procedures"), "{text}");
+        text.push_str(
+            "procedures:\n- {name: take, moving: tcp, reference: mug, end: close}\n\
+             - {name: pour, moving: mug, reference: coaster}\n",
+        );
+        let pour = Task::from_yaml(&text).unwrap();
+        assert_eq!(pour.validate(), Vec::<String>::new());
+        assert_eq!(names(&pour), ["take", "pour"]);
+        assert_eq!(pour.object_names(), ["coaster", "mug"]);
+        let wrong =
+            text.replace("moving: mug, reference: coaster}", "moving: jug, reference: coaster}");
+        let p = Task::from_yaml(&wrong).unwrap().validate().join("\n");
+        assert!(p.contains("'jug'") && p.contains("procedures[1] 'pour'"), "{p}");
     }
 
     #[test]

@@ -3,6 +3,10 @@
 //! Notation: everything in the reference (goal) frame, z up; `P_i`, `O_i` position and orientation of the
 //! demonstration, `E` its last position, a hat for the generated path. `v = E - P_0`.
 
+mod comparators;
+
+pub use comparators::{warp_dmp, warp_rigid};
+
 use crate::path::arcs;
 use tdv_geometry::nalgebra::{UnitQuaternion, Vector3};
 use tdv_geometry::{Pose, smooth_step};
@@ -36,6 +40,10 @@ pub enum WarpRule {
     /// Only the difference of the starts, fading out: the demonstration or the new start stands
     /// (nearly) above the goal.
     OffsetFade,
+    /// A straight line into the kept last part, see [`warp_rigid`].
+    Rigid,
+    /// A dynamic movement primitive, see [`warp_dmp`].
+    Dmp,
 }
 
 /// A bent path.
@@ -238,5 +246,7 @@ pub(crate) fn lift_first(demo: &[Pose], lift: f64, alpha: f64) -> (Vec<Pose>, Op
     (held, Some(from))
 }
 
+#[cfg(test)]
+mod properties;
 #[cfg(test)]
 mod tests;

@@ -161,6 +161,8 @@ mod tests {
             trajectory: PoseTrajectory::from_poses(&[Pose::identity()], 0.05).unwrap(),
             moving_symmetry: symmetry,
             reference_symmetry: Symmetry::None,
+            end: tdv_demonstration::GripperEnd::of_name(name),
+            reference_pose: None,
         };
         let demonstration = Demonstration {
             task: "t".into(),

@@ -119,6 +119,8 @@ mod tests {
                 trajectory: PoseTrajectory::from_poses(&[above, grasp], 0.05).unwrap(),
                 moving_symmetry: gripper_symmetry(),
                 reference_symmetry: Symmetry::None,
+                end: tdv_demonstration::GripperEnd::Close,
+                reference_pose: None,
             }],
             grasp: Some(grasp),
             grasp_width: None,

@@ -64,6 +64,9 @@ pub struct TeachArgs {
     /// Folder for the results [default: models/TASK]
     #[arg(long)]
     pub out: Option<PathBuf>,
+    /// Which frames belong to which procedure, instead of what parsing finds: an edited segments.yaml
+    #[arg(long)]
+    pub segments: Option<PathBuf>,
     /// Object catalogue
     #[arg(long, default_value = "config/objects")]
     pub objects: PathBuf,

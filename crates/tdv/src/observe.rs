@@ -40,7 +40,7 @@ pub fn observe(bag: &Path, task: &Task, args: &TeachArgs) -> anyhow::Result<Obse
         &args.hand_models.join("hand_landmark_full.tflite"),
     )
     .context("hand networks (launch_scripts/fetch_hand_models.sh gets them)")?;
-    let names = [&task.reference_object, &task.moving_object];
+    let names = task.object_names();
     let models: Vec<ObjectModel> = names
         .iter()
         .map(|name| ObjectModel::load(&args.objects.join(name)))

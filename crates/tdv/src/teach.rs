@@ -6,7 +6,7 @@ use anyhow::{Context as _, bail};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 use tdv_demonstration::{
-    Demonstration, FrameObservation, GenerateOptions, ParseConfig, ParseReport, Task,
+    Demonstration, FrameObservation, GenerateOptions, ParseConfig, ParseReport, Segments, Task,
     generate_with, mustard, parse,
 };
 use tdv_policy::rollout::{RolloutConfig, RolloutTrial, evaluate};
@@ -65,6 +65,9 @@ pub fn run(args: &TeachArgs) -> anyhow::Result<PathBuf> {
         );
     }
     demonstration.save(&out.join("demonstration.json"))?;
+    if let Some(segments) = &parsed.segments {
+        segments.save(&out.join("segments.yaml"))?;
+    }
     policy.save(&out.join("policy.safetensors"))?;
     switch_policy.save(&out.join("switch.safetensors"))?;
     for (stage, s) in &seconds {
@@ -99,8 +102,11 @@ fn demonstration(
     args: &TeachArgs,
     task: &Task,
 ) -> anyhow::Result<(Observed, Demonstration, ParseReport)> {
+    let segments = args.segments.as_deref().map(Segments::load).transpose()?;
+    let config = ParseConfig { segments, ..Default::default() };
     if let Some(file) = &args.import_dexmv {
-        let imported = mustard::import(file, task, &mustard::ImportOptions::default())?;
+        let options = mustard::ImportOptions { parse: config, ..Default::default() };
+        let imported = mustard::import(file, task, &options)?;
         let observed =
             Observed { hands: 0, unpaired: 0, frames: imported.frames, pictures: Vec::new() };
         return Ok((observed, imported.demonstration, imported.report));
@@ -113,7 +119,7 @@ fn demonstration(
         observed.hands,
         observed.unpaired
     );
-    let (demonstration, report) = parse(&observed.frames, task, &ParseConfig::default())
+    let (demonstration, report) = parse(&observed.frames, task, &config)
         .with_context(|| format!("the demonstration in {}", bag.display()))?;
     Ok((observed, demonstration, report))
 }

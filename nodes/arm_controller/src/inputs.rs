@@ -2,11 +2,13 @@
 
 use tdv_geometry::{Pose, Stamp};
 use tdv_msgs::sensor_msgs::msg::JointState as JointMessage;
-use tdv_msgs::tdv_msgs::msg::{PoseTrajectory, TrackedObject, TrackedObjects};
+use tdv_msgs::tdv_msgs::msg::{PoseTrajectory, Procedure, TrackedObject, TrackedObjects};
 use tdv_msgs::trajectory_msgs::msg::{JointTrajectory, JointTrajectoryPoint};
 use tdv_robot::JOINT_NAMES;
 use tdv_robot::gripper::KNUCKLE_JOINT;
-use tdv_robot::motion::{Attach, JointPath, JointState, Moving, ObjectPlace, ObjectReport, Plan};
+use tdv_robot::motion::{
+    Attach, GripperEnd, JointPath, JointState, Moving, ObjectPlace, ObjectReport, Plan, ProcedureState,
+};
 use tdv_runtime::tracked;
 
 /// The arm's joints (rad, UR order), found by name; none when one is missing or no number.
@@ -57,6 +59,22 @@ pub fn plan(m: &PoseTrajectory, grasp_offset: &[f64]) -> Result<Option<Plan>, St
         poses,
         dt: m.dt,
     }))
+}
+
+/// The switch policy's word.
+pub fn procedure(m: &Procedure) -> ProcedureState {
+    ProcedureState {
+        stamp: tracked::stamp(&m.header),
+        procedure: m.procedure,
+        complete: m.complete,
+        grip: m.grip,
+        moving: if m.moving == "tcp" { Moving::Tcp } else { Moving::Object },
+        end: match m.end {
+            Procedure::END_CLOSE => GripperEnd::Close,
+            Procedure::END_OPEN => GripperEnd::Open,
+            _ => GripperEnd::None,
+        },
+    }
 }
 
 /// Pose of the held object in the gripper, while the tracker says that one is held.
@@ -118,6 +136,15 @@ mod tests {
         assert!(arm_joints(&m).is_none());
         m.name.pop();
         assert!(arm_joints(&m).is_none());
+    }
+
+    #[test]
+    fn procedures_say_what_the_gripper_does() {
+        let mut m = Procedure { moving: "mug".into(), grip: true, ..Default::default() };
+        assert_eq!((procedure(&m).end, procedure(&m).moving), (GripperEnd::None, Moving::Object));
+        (m.end, m.moving) = (Procedure::END_OPEN, "tcp".into());
+        assert_eq!((procedure(&m).end, procedure(&m).moving), (GripperEnd::Open, Moving::Tcp));
+        assert!(procedure(&m).grip && !procedure(&m).complete);
     }
 
     #[test]

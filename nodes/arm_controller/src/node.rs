@@ -14,7 +14,7 @@ use tdv_msgs::std_msgs::msg::{Bool, Float64, Float64MultiArray};
 use tdv_msgs::std_srvs::srv::{Trigger, TriggerRequest, TriggerResponse};
 use tdv_msgs::tdv_msgs::msg::{ControllerStatus, PoseTrajectory, Procedure, TrackedObjects};
 use tdv_msgs::trajectory_msgs::msg::JointTrajectory;
-use tdv_robot::motion::{GripperFeedback, GripperRequest, ProcedureState, Requests, StatusCode};
+use tdv_robot::motion::{GripperFeedback, GripperRequest, Requests, StatusCode};
 use tdv_robot::{ArmController, ControllerInput, ControllerOutput, Limits};
 use tdv_runtime::{Level, Node, Params, Publisher, Qos, ServiceClient, tracked};
 use tokio::runtime::Handle;
@@ -41,6 +41,7 @@ struct Loop {
     status: Publisher<ControllerStatus>,
     gripper: Gripper,
     switch_reset: ServiceClient<Trigger>,
+    switch_regrasp: ServiceClient<Trigger>,
     last_status: Option<(Stamp, ControllerStatus)>,
     last_plan: Option<Stamp>,
 }
@@ -92,6 +93,7 @@ pub async fn control(node: Node, params: Params<ArmParameters>) -> anyhow::Resul
         status: node.publisher("/arm_controller/status", Qos::latched())?,
         gripper: Gripper::new(&node, p.gripper_action, &p.gripper_controller)?,
         switch_reset: node.client("/switch_policy/reset")?,
+        switch_regrasp: node.client("/switch_policy/regrasp")?,
         last_status: None,
         last_plan: None,
         node: node.clone(),
@@ -168,26 +170,20 @@ fn subscribe_robot(node: &Node, input: &SharedInput) -> anyhow::Result<()> {
 
 fn subscribe_task(node: &Node, p: &ArmParameters, input: &SharedInput) -> anyhow::Result<()> {
     let (shared, offset) = (input.clone(), p.grasp_offset.clone());
-    // The object that the plans move; the last one, where a task has several.
+    // The object that is to be held.
     let carried = Arc::new(Mutex::new(String::new()));
-    let moving = carried.clone();
+    let held = carried.clone();
     node.subscribe("/diffusion_policy/prediction", Qos::best_effort(2), {
         move |m: PoseTrajectory| match inputs::plan(&m, &offset) {
-            Ok(Some(plan)) => {
-                if m.moving != "tcp" {
-                    *moving.lock().unwrap_or_else(PoisonError::into_inner) = m.moving;
-                }
-                with(&shared, |i| i.plan = Some(plan));
-            }
+            Ok(Some(plan)) => with(&shared, |i| i.plan = Some(plan)),
             Ok(None) => {}
             Err(why) => tracing::warn!("prediction refused: {why}"),
         }
     })?;
     let shared = input.clone();
     node.subscribe("/switch_policy/procedure", Qos::best_effort(5), move |m: Procedure| {
-        let stamp = tracked::stamp(&m.header);
-        let state = ProcedureState { stamp, procedure: m.procedure, complete: m.complete };
-        with(&shared, |i| i.procedure = Some(state));
+        with(&shared, |i| i.procedure = Some(inputs::procedure(&m)));
+        *held.lock().unwrap_or_else(PoisonError::into_inner) = m.held;
     })?;
     let shared = input.clone();
     node.subscribe("/pose_tracker/objects", Qos::best_effort(5), move |m: TrackedObjects| {
@@ -286,11 +282,12 @@ impl Loop {
             self.command_gripper(now, request);
         }
         if output.reset_switch {
-            let client = self.switch_reset.clone();
+            let client =
+                if output.regrasp { self.switch_regrasp.clone() } else { self.switch_reset.clone() };
             self.runtime.spawn(async move {
                 if let Err(e) = client.call(TriggerRequest::default(), Duration::from_secs(2)).await
                 {
-                    tracing::error!("the switch policy was not reset: {e}");
+                    tracing::error!("the switch policy did not go back: {e}");
                 }
             });
         }

@@ -3,11 +3,11 @@ use crate::params::TrackerParameters;
 use anyhow::Context as _;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
-use tdv_demonstration::{Task, TaskKind};
+use tdv_demonstration::Task;
 use tdv_geometry::{FrameError, FrameTree};
 use tdv_msgs::geometry_msgs::msg::{PoseStamped, TransformStamped};
 use tdv_msgs::std_srvs::srv::{Trigger, TriggerResponse};
-use tdv_msgs::tdv_msgs::msg::{ControllerStatus, TrackedObjects};
+use tdv_msgs::tdv_msgs::msg::{ControllerStatus, Procedure, TrackedObjects};
 use tdv_msgs::tf2_msgs::msg::TFMessage;
 use tdv_msgs::vision_msgs::msg::Detection3DArray;
 use tdv_perception::objects::{ObjectSpec, Objects, ObjectsInput, ObjectsOutput, TaskObjects};
@@ -19,6 +19,16 @@ struct State {
     objects: Objects,
     frames: FrameTree,
     held: bool,
+}
+
+impl State {
+    /// Which object the gripper holds, once it holds something. The name stays until something else is
+    /// gripped: the next procedure begins before the fingers have opened.
+    fn procedure(&mut self, m: &Procedure) {
+        if m.grip {
+            self.objects.set_moving(&m.held);
+        }
+    }
 }
 
 struct Outputs {
@@ -34,10 +44,7 @@ fn objects_of(p: &TrackerParameters) -> anyhow::Result<TaskObjects> {
     let (mut names, mut moving) = (p.objects.clone(), String::new());
     if !p.task.is_empty() {
         let task = Task::load(Path::new(&p.task))?;
-        names = vec![task.reference_object];
-        if task.kind == TaskKind::Object {
-            names.push(task.moving_object.clone());
-        }
+        names = task.object_names();
         moving = task.moving_object;
     }
     let folder = Path::new(&p.objects_dir);
@@ -120,6 +127,10 @@ fn subscribe_inputs(node: &Node, state: &Arc<Mutex<State>>) -> anyhow::Result<()
     let shared = state.clone();
     node.subscribe("/arm_controller/status", Qos::best_effort(5), move |m: ControllerStatus| {
         with(&shared, |s| s.held = m.object_held);
+    })?;
+    let shared = state.clone();
+    node.subscribe("/switch_policy/procedure", Qos::best_effort(5), move |m: Procedure| {
+        with(&shared, |s| s.procedure(&m));
     })?;
     Ok(())
 }

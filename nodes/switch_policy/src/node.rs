@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use tdv_demonstration::Demonstration;
+use tdv_demonstration::{Demonstration, GripperEnd, Hold};
 use tdv_geometry::Stamp;
 use tdv_msgs::std_srvs::srv::{Trigger, TriggerResponse};
 use tdv_msgs::tdv_msgs::msg::{ControllerStatus, Procedure, TrackedObjects};
@@ -21,6 +21,8 @@ struct Decision {
     policy: SwitchPolicy,
     core: SwitchCore,
     observer: Observer,
+    demonstration: Demonstration,
+    holds: Vec<Hold>,
     output: Publisher<Procedure>,
 }
 
@@ -50,9 +52,11 @@ pub async fn decide(node: Node, mut params: Params<SwitchParameters>) -> anyhow:
     let mut decision = Decision {
         core: SwitchCore::new(names.len(), settings(&p, &policy))?,
         observer: Observer::new(&demonstration, history)?,
+        holds: demonstration.holds(),
         policy,
         output: node.publisher("/switch_policy/procedure", Qos::latched())?,
         node: node.clone(),
+        demonstration: demonstration.clone(),
     };
     let mut objects =
         node.newest::<TrackedObjects>("/pose_tracker/objects", Qos::best_effort(5))?;
@@ -63,6 +67,12 @@ pub async fn decide(node: Node, mut params: Params<SwitchParameters>) -> anyhow:
     node.service::<Trigger, _, _>("~/reset", move |_request| {
         flag.store(true, Ordering::SeqCst);
         async { TriggerResponse { success: true, message: "back to procedure 0".into() } }
+    })?;
+    let regrasp = Arc::new(AtomicBool::new(false));
+    let flag = regrasp.clone();
+    node.service::<Trigger, _, _>("~/regrasp", move |_request| {
+        flag.store(true, Ordering::SeqCst);
+        async { TriggerResponse { success: true, message: "back to the grasp".into() } }
     })?;
     node.diagnostics().level(Level::Ok, "waiting for the pose tracker");
     decision.core.start_at(p.first_procedure as usize, node.now());
@@ -75,9 +85,7 @@ pub async fn decide(node: Node, mut params: Params<SwitchParameters>) -> anyhow:
             _ = shutdown.wait() => return Ok(()),
             message = objects.recv() => {
                 let Some(message) = message else { return Ok(()) };
-                if reset.swap(false, Ordering::SeqCst) {
-                    decision.reset();
-                }
+                decision.go_back(&reset, &regrasp);
                 decision.observe(&message, held);
             }
             message = status.recv() => {
@@ -91,9 +99,7 @@ pub async fn decide(node: Node, mut params: Params<SwitchParameters>) -> anyhow:
             }
             p = params.changed() => decision.core.configure(settings(&p, &decision.policy))?,
             _ = repeat.tick() => {
-                if reset.swap(false, Ordering::SeqCst) {
-                    decision.reset();
-                }
+                decision.go_back(&reset, &regrasp);
                 decision.publish(node.now());
             }
         }
@@ -109,15 +115,23 @@ impl Decision {
         self.publish(self.node.now());
     }
 
-    fn reset(&mut self) {
-        tracing::info!("reset to procedure 0");
-        self.core.reset();
+    /// As the services have asked.
+    fn go_back(&mut self, reset: &AtomicBool, regrasp: &AtomicBool) {
+        let again = regrasp.swap(false, Ordering::SeqCst);
+        if reset.swap(false, Ordering::SeqCst) {
+            tracing::info!("reset to procedure 0");
+            self.core.reset();
+        } else if again {
+            let first = self.demonstration.retry_from(self.core.procedure());
+            tracing::info!("back to procedure {first} for another grasp");
+            self.core.start_at(first, self.node.now());
+        } else {
+            return;
+        }
         self.observer.reset();
         self.publish(self.node.now());
     }
 
-    /// Procedures after the first move a held object: until the grip is confirmed nothing counts as
-    /// their progress.
     fn observe(&mut self, objects: &TrackedObjects, held: bool) {
         let stamp = tracked::stamp(&objects.header);
         self.decide(stamp, objects, held);
@@ -127,8 +141,9 @@ impl Decision {
 
     fn decide(&mut self, stamp: Stamp, objects: &TrackedObjects, held: bool) {
         let procedure = self.core.procedure();
-        let carries = self.observer.names(procedure).is_some_and(|(_, moving, _)| moving != "tcp");
-        if carries && !held && !self.core.state().complete {
+        // Until the gripper has closed or opened as the procedure wants it, nothing counts as its progress.
+        let grip = self.holds.get(procedure).is_some_and(|h| h.grip);
+        if grip != held && !self.core.state().complete {
             return;
         }
         let observed =
@@ -172,7 +187,9 @@ impl Decision {
 
     fn publish(&self, stamp: Stamp) {
         let state = self.core.state();
-        let name = self.observer.names(state.procedure).map_or("", |n| n.0);
+        let (name, moving, _) = self.observer.names(state.procedure).unwrap_or_default();
+        let hold = self.holds.get(state.procedure).cloned().unwrap_or_default();
+        let end = self.demonstration.procedures.get(state.procedure).map(|p| p.end);
         self.output.publish(Procedure {
             header: tracked::header(stamp),
             procedure: state.procedure as u32,
@@ -180,6 +197,14 @@ impl Decision {
             name: name.into(),
             probability: state.probability,
             complete: state.complete,
+            moving: moving.into(),
+            held: hold.object.unwrap_or_default(),
+            grip: hold.grip,
+            end: match end.unwrap_or_default() {
+                GripperEnd::None => Procedure::END_NONE,
+                GripperEnd::Close => Procedure::END_CLOSE,
+                GripperEnd::Open => Procedure::END_OPEN,
+            },
         });
     }
 }

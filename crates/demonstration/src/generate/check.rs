@@ -22,13 +22,21 @@ pub(super) fn finite(path: &[Pose]) -> Result<(), String> {
     if ok { Ok(()) } else { Err("not finite".into()) }
 }
 
+/// Whether an object that stands at `pose` would stand in its reference, both as cylinders.
+pub(super) fn inside(pose: &Pose, moving: &ObjectShape, reference: &ObjectShape) -> bool {
+    pose.translation.x.hypot(pose.translation.y) < reference.radius + 0.8 * moving.radius
+        && lowest(pose, moving) < reference.top() - 0.002
+}
+
 /// Path of an object seen from its reference: not through the table, not dragged over it, not through
-/// the reference. `from_rest`: the path starts standing on the table.
+/// the reference. `from_rest`: the path starts standing on the table; `lands`: it ends standing, else it
+/// may come into the reference near its end, as a spout does.
 pub(super) fn carried(
     path: &[Pose],
     moving: &ObjectShape,
     reference: &ObjectShape,
     from_rest: bool,
+    lands: bool,
 ) -> Result<(), String> {
     let (Some(first), Some(last)) = (path.first(), path.last()) else { return Ok(()) };
     let apart = |a: &Pose, b: &Pose| {
@@ -44,8 +52,8 @@ pub(super) fn carried(
         if from_rest && apart(p, first) > 0.015 && to_goal > 0.03 && low < rest + 0.005 {
             return Err("dragged over the table".into());
         }
-        let over = apart(p, &Pose::identity()) < reference.radius + 0.8 * moving.radius;
-        if over && to_goal > 0.03 && low < reference.top() - 0.002 {
+        let near = if lands { 0.03 } else { 0.10 };
+        if to_goal > near && inside(p, moving, reference) {
             return Err("hits the reference object".into());
         }
     }

@@ -1,12 +1,14 @@
-//! `place` and `follow`: the demonstrated path, bent.
+//! Every procedure but a reach: the demonstrated path, bent.
 
+use super::lead_in::lead_in;
 use super::sampling::{Spread, downward, in_disc, lerp, small_turn, symmetric, tilt};
-use super::{Made, Maker, canonical_start, check, limits};
+use super::{Made, Maker, canonical_start, check, limits, shape_of};
 use crate::path::{Limits, arcs, densify, retime};
+use crate::sequence::Role;
 use crate::warp::lift_first;
 use crate::{
-    Demonstration, DemonstrationError, GenerationMode, ObjectShape, ProcedureDemo, Task,
-    WarpConfig, WarpRule, warp_paper, warp_repaired,
+    Demonstration, DemonstrationError, GenerationMode, GripperEnd, ObjectShape, ProcedureDemo,
+    Task, WarpConfig, WarpRule, warp_dmp, warp_paper, warp_repaired, warp_rigid,
 };
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -14,6 +16,18 @@ use tdv_geometry::nalgebra::{UnitQuaternion, Vector3};
 use tdv_geometry::{Pose, smooth_step, yaw_of};
 
 const SAMPLES: usize = 240;
+/// Part of a recovery's offset by which a procedure's start may miss the end of the one before.
+const CHAIN: f64 = 1.0 / 3.0;
+
+/// Where the trajectories start.
+enum Begin<'a> {
+    /// An object in its workspace.
+    Workspace,
+    /// The gripper in its home region.
+    Home,
+    /// At the end of the procedure before; with that procedure's nominal `T_base_reference`.
+    Before(&'a ProcedureDemo, Pose),
+}
 
 pub(super) struct PathTask<'a> {
     task: &'a Task,
@@ -23,6 +37,7 @@ pub(super) struct PathTask<'a> {
     reference: ObjectShape,
     /// None when the gripper itself moves.
     moving: Option<ObjectShape>,
+    begin: Begin<'a>,
     demo: Vec<Pose>,
     warp: WarpConfig,
     lifts: bool,
@@ -31,18 +46,21 @@ pub(super) struct PathTask<'a> {
 
 impl<'a> PathTask<'a> {
     pub(super) fn new(
-        demo: &Demonstration,
+        demo: &'a Demonstration,
         task: &'a Task,
-        procedure: &'a ProcedureDemo,
+        index: usize,
         rng: &mut ChaCha8Rng,
         notes: &mut Vec<String>,
     ) -> Result<Self, DemonstrationError> {
         let config = &task.generation;
-        let Some(reference) = task.objects.get(&procedure.reference) else {
-            return Err(DemonstrationError::Invalid {
-                what: format!("task '{}'", task.name),
-                problems: vec![format!("objects has no entry for '{}'", procedure.reference)],
-            });
+        let procedure = &demo.procedures[index];
+        let reference = shape_of(task, &procedure.reference)?;
+        let begin = match demo.role(index) {
+            Role::GoesOn => {
+                Begin::Before(&demo.procedures[index - 1], demo.reference_of(index - 1))
+            }
+            Role::Carry => Begin::Workspace,
+            Role::Hand | Role::Reach => Begin::Home,
         };
         let moving = task.objects.get(&procedure.moving).cloned();
         let poses: Vec<Pose> = procedure.trajectory.poses().copied().collect();
@@ -51,7 +69,7 @@ impl<'a> PathTask<'a> {
         match config.mode {
             GenerationMode::Repaired => {
                 path = densify(&path, SAMPLES);
-                let wanted = moving.is_some() && config.lift > 0.0;
+                let wanted = matches!(begin, Begin::Workspace) && config.lift > 0.0;
                 if wanted {
                     let (held, from) = lift_first(&path, config.lift, config.alpha);
                     if let Some(from) = from {
@@ -65,16 +83,21 @@ impl<'a> PathTask<'a> {
                     }
                 }
             }
-            // The paper keeps the number of samples: the demonstration is timed once, then warped.
-            GenerationMode::Paper => path = retime(&path, &limits(config, 0.0), config.retime.dt),
+            // The paper keeps the number of samples: the demonstration is timed once, then warped. A
+            // movement primitive learns from samples even in time.
+            GenerationMode::Paper | GenerationMode::Dmp => {
+                path = retime(&path, &limits(config, 0.0), config.retime.dt);
+            }
+            GenerationMode::Rigid => path = densify(&path, SAMPLES),
         }
         Ok(Self {
             task,
             procedure,
-            grasp: demo.grasp.unwrap_or_else(Pose::identity),
-            nominal: demo.reference_pose,
+            grasp: demo.grasp_of(index).unwrap_or_else(Pose::identity),
+            nominal: demo.reference_of(index),
             reference: reference.clone(),
             moving,
+            begin,
             demo: path,
             warp,
             lifts,
@@ -83,9 +106,9 @@ impl<'a> PathTask<'a> {
     }
 
     /// `T_base_reference` moved about its demonstrated place.
-    fn draw_reference(&self, rng: &mut ChaCha8Rng) -> Pose {
+    fn draw_reference(&self, nominal: &Pose, rng: &mut ChaCha8Rng) -> Pose {
         let [dx, dy] = in_disc(rng, self.task.generation.reference_spread);
-        let mut p = self.nominal;
+        let mut p = *nominal;
         p.translation.x += dx;
         p.translation.y += dy;
         p
@@ -96,14 +119,33 @@ impl<'a> PathTask<'a> {
         let config = &self.task.generation;
         let s: [f64; 5] = std::array::from_fn(|i| self.spread.coordinate(i));
         let first = self.demo[0];
-        if self.moving.is_none() {
+        if let Begin::Before(before, nominal) = &self.begin {
+            let base = if before.reference == self.procedure.reference {
+                *reference
+            } else {
+                self.draw_reference(nominal, rng)
+            };
+            let end = reference.inverse() * base * before.goal();
+            let a = CHAIN * config.recovery.position;
+            let shift = Vector3::new(symmetric(rng, a), symmetric(rng, a), symmetric(rng, a));
+            let turn = small_turn(rng, CHAIN * config.recovery.angle_deg.to_radians());
+            return Ok(Pose::from_parts(
+                (end.translation.vector + shift).into(),
+                end.rotation * turn,
+            ));
+        }
+        if matches!(self.begin, Begin::Home) {
+            // The paper moves no hand's path in space, and the comparators have no way to it either.
+            if config.mode != GenerationMode::Repaired {
+                return Ok(first);
+            }
             let h = &config.home;
             let yaw = std::f64::consts::PI * (2.0 * s[2] - 1.0);
             let at = [lerp(h.x, s[0]), lerp(h.y, s[1]), lerp(h.z, s[3])];
             let start = downward(at, yaw, tilt(rng, h.tilt_deg.to_radians()));
             return Ok(reference.inverse() * start);
         }
-        let w = &self.task.workspace;
+        let w = self.task.workspace_of(&self.procedure.name);
         let xy = [lerp(w.x, s[0]), lerp(w.y, s[1])];
         if !w.allows(xy, [reference.translation.x, reference.translation.y]) {
             return Err("start in the excluded disc".into());
@@ -121,18 +163,34 @@ impl<'a> PathTask<'a> {
         } else {
             yaw - yaw_of(&demonstrated)
         };
-        let tilted = tilt(rng, config.tilt_deg.to_radians());
+        let mut draw = |r: [f64; 2]| lerp(r, rng.random::<f64>()).to_radians();
+        let (roll, pitch) = (draw(config.roll_deg), draw(config.pitch_deg));
+        let tilted = tilt(rng, config.tilt_deg.to_radians())
+            * UnitQuaternion::from_euler_angles(roll, pitch, 0.0);
         let mut start = reference.inverse()
             * Pose::from_parts([xy[0], xy[1], 0.0].into(), tilted * about(turn) * demonstrated);
         // Both stand on the same table: the height above it is the demonstrated one.
         start.translation.z = first.translation.z;
+        if let Some(m) = &self.moving {
+            // What lies tilted does not stand in the table.
+            if roll != 0.0 || pitch != 0.0 {
+                let low = self.reference.bottom - check::lowest(&start, m);
+                start.translation.z += low.max(0.0);
+            }
+            if check::inside(&start, m, &self.reference) {
+                return Err("start inside the reference object".into());
+            }
+        }
         Ok(start)
     }
 
     fn check(&self, path: &[Pose], from_rest: bool) -> Result<(), String> {
         check::finite(path)?;
         match &self.moving {
-            Some(m) => check::carried(path, m, &self.reference, from_rest && self.lifts),
+            Some(m) => {
+                let lands = self.procedure.end == GripperEnd::Open;
+                check::carried(path, m, &self.reference, from_rest && self.lifts, lands)
+            }
             None => check::above_table(path, self.reference.bottom),
         }
     }
@@ -165,7 +223,7 @@ impl<'a> PathTask<'a> {
 impl Maker for PathTask<'_> {
     fn ordinary(&mut self, rng: &mut ChaCha8Rng) -> Result<Made, String> {
         self.spread.advance();
-        let reference = self.draw_reference(rng);
+        let reference = self.draw_reference(&self.nominal, rng);
         let start = self.draw_start(&reference, rng)?;
         let start = canonical_start(self.procedure, &start, rng).apply(&start);
         let (path, rule) = self.bend(&start)?;
@@ -176,6 +234,15 @@ impl Maker for PathTask<'_> {
         let bent = match self.task.generation.mode {
             GenerationMode::Paper => {
                 (warp_paper(&self.demo, start, self.task.generation.alpha)?.poses, "paper")
+            }
+            GenerationMode::Rigid => {
+                (warp_rigid(&self.demo, start, self.task.generation.alpha).poses, "rigid")
+            }
+            GenerationMode::Dmp => (warp_dmp(&self.demo, start).poses, "dmp"),
+            // A hand's path is not moved in space: a way to its begin is put before it.
+            GenerationMode::Repaired if matches!(self.begin, Begin::Home) => {
+                let margin = self.task.generation.margin;
+                (lead_in(&self.demo, start, &self.reference, margin)?, "lead_in")
             }
             GenerationMode::Repaired => {
                 let w = warp_repaired(&self.demo, start, &self.warp);

@@ -2,10 +2,11 @@
 
 use super::check::{TIP, above_table, finite};
 use super::sampling::{Spread, downward, in_disc, lerp, small_turn, symmetric, tilt};
-use super::{Made, Maker, canonical_start, limits};
+use super::{Made, Maker, canonical_start, limits, shape_of};
 use crate::path::{Limits, arcs, retime, round_corners};
 use crate::{
-    Demonstration, DemonstrationError, GenerationMode, ObjectShape, ProcedureDemo, Task, warp_paper,
+    Demonstration, DemonstrationError, GenerationMode, GripperEnd, ObjectShape, ProcedureDemo,
+    Task, warp_dmp, warp_paper, warp_rigid,
 };
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -14,6 +15,8 @@ use tdv_geometry::nalgebra::{UnitQuaternion, Vector3};
 
 /// Half width (m) over which corners of the path are rounded.
 const ROUND: f64 = 0.03;
+/// How far the gripper has backed off after a release when it reaches for the next object (m).
+const RETREAT: [f64; 2] = [0.05, 0.15];
 /// Half the width of the open fingers and their carriers (m), beside the tcp.
 const FINGERS: f64 = 0.06;
 
@@ -21,6 +24,8 @@ pub(super) struct Reach<'a> {
     task: &'a Task,
     procedure: &'a ProcedureDemo,
     nominal: Pose,
+    /// `T_base_tcp` where the gripper has let go before, if it has.
+    released: Option<Pose>,
     shape: ObjectShape,
     plan: ReachPlan,
     spread: Spread,
@@ -28,25 +33,40 @@ pub(super) struct Reach<'a> {
 
 impl<'a> Reach<'a> {
     pub(super) fn new(
-        demo: &Demonstration,
+        demo: &'a Demonstration,
         task: &'a Task,
-        procedure: &'a ProcedureDemo,
+        index: usize,
         rng: &mut ChaCha8Rng,
     ) -> Result<Self, DemonstrationError> {
-        let Some(shape) = task.objects.get(&procedure.reference).cloned() else {
-            return Err(DemonstrationError::Invalid {
-                what: format!("task '{}'", task.name),
-                problems: vec![format!("objects has no entry for '{}'", procedure.reference)],
-            });
-        };
+        let procedure = &demo.procedures[index];
+        let shape = shape_of(task, &procedure.reference)?.clone();
         let plan = ReachPlan::new(
             procedure.goal(),
             &shape,
             task.generation.pregrasp_distance,
             task.generation.margin,
         );
-        let nominal = demo.reference_pose;
-        Ok(Self { task, procedure, nominal, shape, plan, spread: Spread::new(7, rng) })
+        // What is grasped is carried next, and must not stand where it goes to.
+        let nominal = demo.reference_of((index + 1).min(demo.procedures.len() - 1));
+        let before = index.checked_sub(1).filter(|b| demo.procedures[*b].end == GripperEnd::Open);
+        let released = before.map(|b| {
+            let end = demo.reference_of(b) * demo.procedures[b].goal();
+            demo.grasp_of(b).map_or(end, |g| end * g)
+        });
+        let spread = Spread::new(7, rng);
+        Ok(Self { task, procedure, nominal, released, shape, plan, spread })
+    }
+
+    /// Backed off from where something was let go.
+    fn retreated(&self, from: &Pose, rng: &mut ChaCha8Rng) -> Pose {
+        let r = &self.task.generation.recovery;
+        let back = Pose::translation(0.0, 0.0, -lerp(RETREAT, rng.random::<f64>()));
+        let mut p = from * back;
+        for v in p.translation.vector.iter_mut() {
+            *v += symmetric(rng, r.position);
+        }
+        p.rotation *= small_turn(rng, r.angle_deg.to_radians());
+        p
     }
 }
 
@@ -55,7 +75,7 @@ impl Maker for Reach<'_> {
         self.spread.advance();
         let s: [f64; 7] = std::array::from_fn(|i| self.spread.coordinate(i));
         let config = &self.task.generation;
-        let w = &self.task.workspace;
+        let w = self.task.workspace_of(&self.procedure.name);
         let xy = [lerp(w.x, s[0]), lerp(w.y, s[1])];
         if !w.allows(xy, [self.nominal.translation.x, self.nominal.translation.y]) {
             return Err("start in the excluded disc".into());
@@ -66,7 +86,10 @@ impl Maker for Reach<'_> {
         let h = &config.home;
         let at = [lerp(h.x, s[3]), lerp(h.y, s[4]), lerp(h.z, s[5])];
         let tool_yaw = std::f64::consts::PI * (2.0 * s[6] - 1.0);
-        let tool = downward(at, tool_yaw, tilt(rng, h.tilt_deg.to_radians()));
+        let tool = match &self.released {
+            Some(from) if rng.random::<bool>() => self.retreated(from, rng),
+            _ => downward(at, tool_yaw, tilt(rng, h.tilt_deg.to_radians())),
+        };
         let start = object.inverse() * tool;
         let start = canonical_start(self.procedure, &start, rng).apply(&start);
         let (path, rule) = self.bend(&start)?;
@@ -76,10 +99,16 @@ impl Maker for Reach<'_> {
     fn bend(&self, start: &Pose) -> Result<(Vec<Pose>, &'static str), String> {
         let config = &self.task.generation;
         let bent = match config.mode {
-            GenerationMode::Paper => {
+            GenerationMode::Paper | GenerationMode::Rigid | GenerationMode::Dmp => {
                 let demo: Vec<Pose> = self.procedure.trajectory.poses().copied().collect();
                 let demo = retime(&demo, &limits(config, 0.0), config.retime.dt);
-                (warp_paper(&demo, start, config.alpha)?.poses, "paper")
+                match config.mode {
+                    GenerationMode::Rigid => {
+                        (warp_rigid(&demo, start, config.alpha).poses, "rigid")
+                    }
+                    GenerationMode::Dmp => (warp_dmp(&demo, start).poses, "dmp"),
+                    _ => (warp_paper(&demo, start, config.alpha)?.poses, "paper"),
+                }
             }
             GenerationMode::Repaired => {
                 let path = self.plan.path(start);

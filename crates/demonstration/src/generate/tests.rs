@@ -36,6 +36,8 @@ pub(crate) fn demonstration() -> Demonstration {
             trajectory: PoseTrajectory::from_poses(poses, 1.0 / 30.0).unwrap(),
             moving_symmetry,
             reference_symmetry: Symmetry::None,
+            end: crate::GripperEnd::of_name(name),
+            reference_pose: None,
         }
     };
     Demonstration {
@@ -193,12 +195,12 @@ fn a_reach_from_any_pose_ends_in_the_grasp() {
 fn rejections_are_counted_by_reason() {
     let reach =
         |p: &Pose| if p.translation.x > 0.55 { Err("out of reach".to_string()) } else { Ok(()) };
-    let options = GenerateOptions { reachable: Some(&reach) };
+    let options = GenerateOptions { reachable: Some(&reach), ..Default::default() };
     let (set, report) = generate_with(&demonstration(), &task(), 20, 1, &options).unwrap();
     assert!(report.procedures.iter().all(|p| p.rejected["out of reach"] > 0), "{report:?}");
     assert_eq!(set.procedures[1].trajectories.len(), 30);
     let never = |_: &Pose| Err("no".to_string());
-    let options = GenerateOptions { reachable: Some(&never) };
+    let options = GenerateOptions { reachable: Some(&never), ..Default::default() };
     let e = generate_with(&demonstration(), &task(), 5, 1, &options).unwrap_err().to_string();
     assert!(e.contains("x no") && e.contains("reach"), "{e}");
 }

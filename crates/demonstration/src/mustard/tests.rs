@@ -94,3 +94,49 @@ fn damaged_files_are_named() {
         "T_object_camera_object": [[[2,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]]}"#;
     assert!(import(skew).contains("frame 0"));
 }
+
+/// The same recording as a hand task: the hand's path as the disc sees it.
+#[test]
+fn the_hand_alone_is_a_task_too() {
+    let Some(path) = recording() else { return };
+    let mut task = task();
+    (task.kind, task.moving_object) = (crate::TaskKind::Hand, "tcp".into());
+    task.objects.remove("bottle");
+    let out = mustard::import(&path, &task, &ImportOptions::default()).unwrap();
+    let d = &out.demonstration;
+    let follow = d.procedure("follow").unwrap();
+    assert_eq!((d.procedures.len(), follow.end), (1, crate::GripperEnd::None));
+    assert!(d.grasp.is_none() && follow.trajectory.duration() > 1.5);
+    let steps = follow.trajectory.poses().collect::<Vec<_>>();
+    let jump = steps.windows(2).map(|w| tdv_geometry::pose_distance(w[0], w[1]));
+    let (d_max, a_max) = jump.fold((0.0f64, 0.0f64), |m, j| (m.0.max(j.0), m.1.max(j.1)));
+    println!("{} frames, largest step {d_max:.4} m {a_max:.3} rad", steps.len());
+    assert!(d_max < 0.05 && a_max < 0.5, "{d_max} m, {a_max} rad");
+    // Every ordinary trajectory has the demonstrated path in it as it is, the last pose exactly.
+    let (set, report) = generate(d, &task, 20, 3).unwrap();
+    assert_eq!(report.procedures[0].rules["lead_in"], 20);
+    for t in &set.procedures[0].trajectories[..20] {
+        for p in follow.trajectory.poses().step_by(4) {
+            let near =
+                t.poses().map(|q| tdv_geometry::twist_arc(p, q, 0.1)).fold(f64::INFINITY, f64::min);
+            assert!(near < 0.012, "{near} m from the path");
+        }
+    }
+    let (one, report) = generate(d, &task, 1, 3).unwrap();
+    assert_eq!(one.procedures[0].trajectories.len(), 1);
+    assert_eq!(report.procedures[0].rules["demonstration"], 1);
+}
+
+#[test]
+fn a_left_handed_rotation_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("m.json");
+    let joints = vec![[0.0; 3]; 21];
+    let text = format!(
+        r#"{{"frame_ids": [1], "joints_m_object_camera": [{joints:?}],
+        "T_object_camera_object": [[[1,0,0,0],[0,1,0,0],[0,0,-1,0],[0,0,0,1]]]}}"#
+    );
+    std::fs::write(&path, text).unwrap();
+    let e = mustard::import(&path, &task(), &ImportOptions::default()).unwrap_err().to_string();
+    assert!(e.contains("frame 0"), "{e}");
+}

@@ -1,55 +1,111 @@
 //! The carried object's path: where it rests, and the way between.
 
-use super::{ParseConfig, ParseReport, RepairKind, timed};
+use super::{ParseConfig, ParseReport, RepairKind};
 use crate::keyframe::Keyframes;
 use crate::path::arcs;
 use crate::warp::lift_first;
-use crate::{DemonstrationError, ObjectShape, TargetYaw, Task};
+use crate::{DemonstrationError, ObjectShape, TargetYaw};
 use tdv_geometry::nalgebra::{UnitQuaternion, Vector3};
-use tdv_geometry::{Pose, PoseTrajectory, pose_distance, smooth_step, yaw_of};
+use tdv_geometry::{Pose, pose_distance, smooth_step, yaw_of};
 
 /// Height (m) within which an object is set down straight.
 const SET_DOWN: f64 = 0.015;
 
-/// `T_base_object` at the start and `T_reference_object` at the end, standing if the object stands.
-#[allow(clippy::too_many_arguments)]
-pub(super) fn rest_ends(
-    start: &Pose,
-    end: &Pose,
-    reference: &Pose,
-    task: &Task,
-    shape: &ObjectShape,
-    reference_shape: &ObjectShape,
-    config: &ParseConfig,
-    report: &mut ParseReport,
-) -> Result<(Pose, Pose), DemonstrationError> {
-    let name = &task.moving_object;
-    let mut first = *start;
-    let mut last = reference.inverse() * end;
-    if shape.stands {
-        first = stand(&first, -shape.bottom, "start", name, config, report)?;
-        let beside = last.translation.x.hypot(last.translation.y);
-        let surface = if beside < reference_shape.radius + 0.5 * shape.radius {
-            reference_shape.top()
-        } else {
-            reference_shape.bottom
-        };
-        last = stand(&last, surface - shape.bottom, "end", name, config, report)?;
+/// What is carried, and where to.
+pub(super) struct Carry<'a> {
+    pub name: &'a str,
+    pub shape: &'a ObjectShape,
+    /// `T_base_reference` of the last procedure.
+    pub reference: &'a Pose,
+    pub reference_shape: &'a ObjectShape,
+    pub target_yaw: TargetYaw,
+    /// It is let go at the end.
+    pub lands: bool,
+}
+
+impl Carry<'_> {
+    /// `T_base_object` at the start and `T_reference_object` at the end, standing if the object stands.
+    pub(super) fn rest_ends(
+        &self,
+        start: &Pose,
+        end: &Pose,
+        config: &ParseConfig,
+        report: &mut ParseReport,
+    ) -> Result<(Pose, Pose), DemonstrationError> {
+        let Self { name, shape, reference, reference_shape, .. } = self;
+        let mut first = *start;
+        let mut last = reference.inverse() * end;
+        if shape.stands {
+            first = stand(&first, -shape.bottom, "start", name, config, report)?;
+        }
+        if shape.stands && self.lands {
+            let beside = last.translation.x.hypot(last.translation.y);
+            let surface = if beside < reference_shape.radius + 0.5 * shape.radius {
+                reference_shape.top()
+            } else {
+                reference_shape.bottom
+            };
+            last = stand(&last, surface - shape.bottom, "end", name, config, report)?;
+        }
+        if let TargetYaw::Fixed(deg) = self.target_yaw {
+            let turn = deg.to_radians() - yaw_of(&last.rotation);
+            let turn = turn.sin().atan2(turn.cos());
+            last.rotation =
+                UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * last.rotation;
+            report.note(
+                RepairKind::YawFixed,
+                name,
+                1,
+                turn.to_degrees(),
+                "deg",
+                format!("the task fixes the yaw of the target at {deg} deg"),
+            );
+        }
+        Ok((first, last))
     }
-    if let TargetYaw::Fixed(deg) = task.target_yaw {
-        let turn = deg.to_radians() - yaw_of(&last.rotation);
-        let turn = turn.sin().atan2(turn.cos());
-        last.rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * last.rotation;
-        report.note(
-            RepairKind::YawFixed,
-            name,
-            1,
-            turn.to_degrees(),
-            "deg",
-            format!("the task fixes the yaw of the target at {deg} deg"),
-        );
+
+    /// `T_reference_object` from lift to set-down, a pose per frame.
+    pub(super) fn path(
+        &self,
+        smoothed: &[Pose],
+        times: &[f64],
+        keys: &Keyframes,
+        ends: &(Pose, Pose),
+        report: &mut ParseReport,
+    ) -> Vec<Pose> {
+        let Self { shape, reference, reference_shape, .. } = self;
+        let inverse = reference.inverse();
+        let path: Vec<Pose> =
+            smoothed[keys.onset..=keys.settled].iter().map(|p| inverse * p).collect();
+        let times = &times[keys.onset..=keys.settled];
+        let mut path = pin_ends(&path, &(inverse * ends.0), &ends.1);
+        report.carried = path.windows(2).map(|w| pose_distance(&w[0], &w[1]).0).sum();
+
+        if shape.stands {
+            let mut raised = 0.0f64;
+            let mut frames = Vec::new();
+            let (first, last) = (path[0], path[path.len() - 1]);
+            for (i, p) in path.iter_mut().enumerate() {
+                let floor = if self.lands {
+                    floor_under(p, &first, &last, reference_shape)
+                } else {
+                    reference_shape.bottom
+                };
+                let lift = floor - crate::generate::lowest(p, shape);
+                if lift > 1e-4 && i > 0 && i < times.len() - 1 {
+                    p.translation.z += lift;
+                    raised = raised.max(lift);
+                    frames.push(keys.onset + i);
+                }
+            }
+            let text = "raised so that the object goes neither through the table nor through the reference";
+            report.note_frames(RepairKind::Raised, "path", &frames, raised, "m", text);
+        }
+        if self.lands {
+            set_down(&mut path, report);
+        }
+        path
     }
-    Ok((first, last))
 }
 
 /// Sets a pose upright (smallest turn) and its height to `z`.
@@ -95,45 +151,6 @@ fn stand(
     let mut out = Pose::from_parts(pose.translation, turn * pose.rotation);
     out.translation.z = z;
     Ok(out)
-}
-
-/// `T_reference_object` from lift to set-down.
-#[allow(clippy::too_many_arguments)]
-pub(super) fn place(
-    smoothed: &[Pose],
-    times: &[f64],
-    keys: &Keyframes,
-    ends: &(Pose, Pose),
-    reference: &Pose,
-    shape: &ObjectShape,
-    reference_shape: &ObjectShape,
-    report: &mut ParseReport,
-) -> Result<PoseTrajectory, DemonstrationError> {
-    let inverse = reference.inverse();
-    let path: Vec<Pose> = smoothed[keys.onset..=keys.settled].iter().map(|p| inverse * p).collect();
-    let times = &times[keys.onset..=keys.settled];
-    let mut path = pin_ends(&path, &(inverse * ends.0), &ends.1);
-    report.carried = path.windows(2).map(|w| pose_distance(&w[0], &w[1]).0).sum();
-
-    if shape.stands {
-        let mut raised = 0.0f64;
-        let mut frames = Vec::new();
-        let (first, last) = (path[0], path[path.len() - 1]);
-        for (i, p) in path.iter_mut().enumerate() {
-            let floor = floor_under(p, &first, &last, reference_shape);
-            let lift = floor - crate::generate::lowest(p, shape);
-            if lift > 1e-4 && i > 0 && i < times.len() - 1 {
-                p.translation.z += lift;
-                raised = raised.max(lift);
-                frames.push(keys.onset + i);
-            }
-        }
-        let text =
-            "raised so that the object goes neither through the table nor through the reference";
-        report.note_frames(RepairKind::Raised, "path", &frames, raised, "m", text);
-    }
-    set_down(&mut path, report);
-    timed(&path, times, "place")
 }
 
 /// Height of what is under the object: near either end it is what it stands on.

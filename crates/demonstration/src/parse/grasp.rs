@@ -5,7 +5,7 @@ use super::input::Seen;
 use super::{GraspChange, ParseConfig, ParseReport, RepairKind, timed};
 use crate::filter::{Sample, robust_mean, smooth};
 use crate::keyframe::Keyframes;
-use crate::{DemonstrationError, GraspConfig, Remapped, Task, canonical_tool};
+use crate::{DemonstrationError, GraspConfig, Remapped, canonical_tool};
 use tdv_geometry::nalgebra::{UnitQuaternion, Vector3};
 use tdv_geometry::{Pose, PoseTrajectory};
 
@@ -52,7 +52,7 @@ pub(super) fn grasp(
     times: &[f64],
     keys: &Keyframes,
     rest: &Pose,
-    task: &Task,
+    config: &GraspConfig,
     report: &mut ParseReport,
 ) -> Result<(Pose, Option<f64>), DemonstrationError> {
     // From contact to a third of a second into the motion the hand sits still on the object.
@@ -87,7 +87,7 @@ pub(super) fn grasp(
             turn.to_degrees()
         ),
     );
-    let (fitted, width, change) = fit(&demonstrated, &task.grasp)?;
+    let (fitted, width, change) = fit(&demonstrated, config)?;
     report.grasp_change = change;
     for (v, unit, text) in [
         (

@@ -2,8 +2,8 @@
 
 use super::{ParseConfig, ParseReport, RepairKind};
 use crate::filter::{deflip, robust_mean};
-use crate::{DemonstrationError, FrameObservation, Task, canonical_reference};
-use tdv_geometry::{Pose, pose_distance};
+use crate::{DemonstrationError, FrameObservation, canonical_reference};
+use tdv_geometry::{Pose, Symmetry, pose_distance};
 
 /// Frame index, pose, weight.
 pub(super) type Seen = (usize, Pose, f64);
@@ -24,6 +24,11 @@ pub(super) fn check(frames: &[FrameObservation], need: usize) -> Result<(), Demo
             if !numbers.chain([confidence]).all(|v| v.is_finite()) {
                 let what = format!("pose or confidence of '{name}'");
                 return Err(DemonstrationError::NotFinite { frame, what });
+            }
+            let norm = pose.rotation.norm();
+            if (norm - 1.0).abs() > 1e-3 {
+                let name = name.clone();
+                return Err(DemonstrationError::NotARotation { frame, name, norm });
             }
         }
         if let Some(joints) = &f.hand
@@ -85,15 +90,15 @@ pub(super) fn object(
 /// moved, the later half counts, for that is where the object is put.
 pub(super) fn reference(
     frames: &[FrameObservation],
-    task: &Task,
+    name: &str,
+    symmetry: &Symmetry,
     config: &ParseConfig,
     report: &mut ParseReport,
 ) -> Result<Pose, DemonstrationError> {
-    let name = &task.reference_object;
     let (seen, dropped) = usable(frames, name, config.min_confidence);
     let need = (config.min_frames / 3).max(3);
     let missing = || DemonstrationError::ReferenceMissing {
-        name: name.clone(),
+        name: name.to_string(),
         seen: seen.len(),
         frames: frames.len(),
         need,
@@ -102,10 +107,9 @@ pub(super) fn reference(
         return Err(missing());
     }
     note_dropped(report, name, &dropped, config.min_confidence);
-    let symmetry = task.reference_shape().map(|s| s.symmetry.clone()).unwrap_or_default();
     let mut poses: Vec<Pose> = seen.iter().map(|s| s.1).collect();
     let near = poses[0].rotation;
-    deflip(&mut poses, &symmetry, &near);
+    deflip(&mut poses, symmetry, &near);
     let half = poses.len() / 2;
     let (early, late) = (robust_mean(&poses[..half.max(1)]), robust_mean(&poses[half..]));
     let (Some(early), Some(late)) = (early, late) else { return Err(missing()) };
@@ -123,7 +127,7 @@ pub(super) fn reference(
     } else {
         robust_mean(&poses).ok_or_else(missing)?
     };
-    let fixed = canonical_reference(&mean, &symmetry);
+    let fixed = canonical_reference(&mean, symmetry);
     report.note(
         RepairKind::ReferenceFixed,
         name,

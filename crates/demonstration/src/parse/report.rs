@@ -1,3 +1,4 @@
+use super::Segments;
 use crate::Keyframes;
 use serde::{Deserialize, Serialize};
 use tdv_geometry::{Pose, pose_distance};
@@ -42,6 +43,10 @@ pub enum RepairKind {
     Assumed,
     /// Rotation matrices made orthonormal.
     Orthonormalised,
+    /// Frames that do not come at an even rate.
+    UnevenStamps,
+    /// Quaternions of either sign brought to one.
+    DoubleCover,
 }
 
 /// One repair.
@@ -83,8 +88,11 @@ pub struct ParseReport {
     pub task: String,
     /// Frames given.
     pub frames: usize,
-    /// Events (object tasks).
+    /// Events of the first object that is carried.
     pub keyframes: Option<Keyframes>,
+    /// Which frames belong to which procedure.
+    #[serde(default)]
+    pub segments: Option<Segments>,
     /// Length of the object's smoothed path (m).
     pub carried: f64,
     /// The grasp's change.

@@ -1,12 +1,12 @@
 use super::*;
-use crate::{GenerationMode, generate};
+use crate::{GenerationMode, GripperEnd, ProcedureSpec, TaskKind, generate};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
-use tdv_geometry::nalgebra::{UnitQuaternion, Vector3};
-use tdv_geometry::{pose_distance, pose_from_xyz_rpy, smooth_step, yaw_of};
+use tdv_geometry::nalgebra::{Point3, UnitQuaternion, Vector3};
+use tdv_geometry::{Symmetry, pose_distance, pose_from_xyz_rpy, smooth_step, yaw_of};
 
 fn task() -> Task {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -292,4 +292,283 @@ fn every_defect_has_its_own_error() {
     let mut bad = task();
     bad.text.clear();
     assert!(matches!(parse(&good, &bad, &ParseConfig::default()), Err(E::Invalid { .. })));
+}
+
+fn cup_and(procedures: &[(&str, &str, &str, GripperEnd)]) -> Task {
+    let mut t = task();
+    t.procedures = procedures.iter().map(|(n, m, r, e)| ProcedureSpec::new(n, m, r, *e)).collect();
+    t
+}
+
+#[test]
+fn segments_are_found_written_and_taken_back() {
+    let s = scene(0.002, 2);
+    let (d, r) = parse(&s.frames, &task(), &ParseConfig::default()).unwrap();
+    let segments = r.segments.unwrap();
+    let names: Vec<_> = segments.procedures.iter().map(|p| (p.name.as_str(), p.end)).collect();
+    assert_eq!(names, [("reach", GripperEnd::Close), ("place", GripperEnd::Open)]);
+    let frame = |stamp: i64| (stamp - s.frames[0].stamp.0) / 33_333_333;
+    let place = &segments.procedures[1];
+    assert!((50..63).contains(&frame(place.first)) && (97..112).contains(&frame(place.last)));
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("segments.yaml");
+    segments.save(&path).unwrap();
+    let mut back = Segments::load(&path).unwrap();
+    assert_eq!(back, segments);
+    let again = |segments: &Segments| {
+        let config = ParseConfig { segments: Some(segments.clone()), ..Default::default() };
+        parse(&s.frames, &task(), &config)
+    };
+    let (e, _) = again(&back).unwrap();
+    let goal = |d: &Demonstration| d.procedure("place").unwrap().goal();
+    assert!(pose_distance(&goal(&d), &goal(&e)).0 < 0.003);
+    // A person lets the carry end earlier, in the air, with the object in the hand.
+    back.procedures[1].last = s.frames[80].stamp.0;
+    back.procedures[1].end = GripperEnd::None;
+    let (e, r) = again(&back).unwrap();
+    assert!(e.procedure("place").unwrap().goal().translation.z > 0.08);
+    assert_eq!(e.procedures[1].end, GripperEnd::None);
+    assert_eq!(r.segments.unwrap().procedures[1].last, s.frames[80].stamp.0);
+
+    let refused = |change: &dyn Fn(&mut Segments)| {
+        let mut bad = segments.clone();
+        change(&mut bad);
+        again(&bad).unwrap_err()
+    };
+    use DemonstrationError as E;
+    let e = refused(&|s| s.procedures[1].name = "pour".into());
+    assert!(matches!(e, E::UnknownProcedure { .. }), "{e}");
+    let e = refused(&|s| s.procedures[0].last = s.procedures[0].first).to_string();
+    assert!(e.contains("ends"), "{e}");
+    let e = refused(&|s| s.procedures[1].first = s.procedures[0].first).to_string();
+    assert!(e.contains("begins before"), "{e}");
+    let e = refused(&|s| s.procedures[0].end = GripperEnd::None).to_string();
+    assert!(e.contains("no procedure before it"), "{e}");
+    let e = refused(&|s| s.task = "other".into()).to_string();
+    assert!(e.contains("other"), "{e}");
+    let e = refused(&|s| s.procedures[1].last = i64::MAX);
+    assert!(matches!(e, E::Invalid { .. }) || again(&segments).is_ok(), "{e}");
+    std::fs::write(&path, "task: x\nproceedures: []\n").unwrap();
+    assert!(matches!(Segments::load(&path), Err(E::Format { .. })));
+}
+
+/// The mug goes to the coaster, then a bottle that stood aside to a disc, in one recording.
+fn two_objects(noise: f64, seed: u64) -> Vec<FrameObservation> {
+    let (first, second) = (scene(noise, seed).frames, scene(noise, seed + 50).frames);
+    let aside = Pose::translation(-0.05, 0.25, 0.0);
+    let seconds = 1.0;
+    let gap = (seconds * 30.0) as usize;
+    let (mug_end, disc) = (first[149].objects.clone(), second[0].objects["coaster"]);
+    let moved = |p: &(Pose, f64)| (aside * p.0, p.1);
+    let mut frames = Vec::new();
+    for (i, f) in first.iter().enumerate() {
+        let mut f = f.clone();
+        let j = i % 40;
+        f.objects.insert("bottle".into(), moved(&second[j].objects["mug"]));
+        f.objects.insert("disc".into(), moved(&disc));
+        frames.push(f);
+    }
+    for (i, f) in second.iter().enumerate() {
+        let mut objects = mug_end.clone();
+        objects.insert("coaster".into(), f.objects["coaster"]);
+        objects.insert("bottle".into(), moved(&f.objects["mug"]));
+        objects.insert("disc".into(), moved(&f.objects["coaster"]));
+        let stamp = Stamp(f.stamp.0 + (150 + gap as i64) * 33_333_333);
+        let hand = f.hand.map(|h| h.map(|p| aside * p));
+        frames.push(FrameObservation { stamp, objects, hand });
+    }
+    frames
+}
+
+fn two_object_task() -> Task {
+    use GripperEnd::{Close, Open};
+    let mut t = cup_and(&[
+        ("reach_mug", "tcp", "mug", Close),
+        ("place_mug", "mug", "coaster", Open),
+        ("reach_bottle", "tcp", "bottle", Close),
+        ("place_bottle", "bottle", "disc", Open),
+    ]);
+    t.objects.insert("bottle".into(), t.objects["mug"].clone());
+    t.objects.insert("disc".into(), t.objects["coaster"].clone());
+    t
+}
+
+#[test]
+fn two_objects_are_carried_in_turn() {
+    for seed in [1, 2] {
+        let frames = two_objects(0.002, seed);
+        let task = two_object_task();
+        let (d, r) = parse(&frames, &task, &ParseConfig::default()).unwrap();
+        let names: Vec<_> = d.procedures.iter().map(|p| p.name.as_str()).collect();
+        assert_eq!(names, ["reach_mug", "place_mug", "reach_bottle", "place_bottle"]);
+        assert_eq!(d.grasp, Some(d.procedures[0].goal()));
+        assert_eq!(d.grasp_of(1), d.grasp);
+        assert_eq!(d.grasp_of(3), Some(d.procedures[2].goal()));
+        assert_eq!((d.retry_from(3), d.retry_from(1), d.retry_from(2)), (2, 0, 2));
+        // Both are put where they were put.
+        let goal = scene(0.0, 1).goal;
+        let aside = Pose::translation(-0.05, 0.25, 0.0);
+        for (i, want) in [(1, goal), (3, aside * goal)] {
+            let got = d.reference_of(i) * d.procedures[i].goal();
+            let (dp, dr) = pose_distance(&got, &want);
+            assert!(dp < 0.005 && dr < 0.05, "procedure {i}: {dp} m, {dr} rad");
+        }
+        let segments = r.segments.unwrap().procedures;
+        assert!(segments.windows(2).all(|w| w[0].last <= w[1].first), "{segments:?}");
+        let (set, report) = generate(&d, &task, 12, seed).unwrap();
+        assert_eq!(set.procedures.len(), 4);
+        assert!(set.procedures.iter().all(|p| p.trajectories.len() == 18));
+        assert!(report.procedures.iter().all(|p| p.worst_end_miss < 1e-9));
+    }
+    // The other way round is not what the task says.
+    let mut swapped = two_object_task();
+    swapped.procedures.rotate_left(2);
+    let e = parse(&two_objects(0.002, 1), &swapped, &ParseConfig::default()).unwrap_err();
+    assert!(e.to_string().contains("other way round"), "{e}");
+}
+
+/// A carry that stops above the coaster, tilts there and stays.
+fn pouring(noise: f64, seed: u64) -> Vec<FrameObservation> {
+    let mut frames = scene(noise, seed).frames;
+    frames.truncate(81);
+    let last = frames[80].clone();
+    let mug = last.objects["mug"].0;
+    for i in 1..110 {
+        let tilt = 1.9 * smooth_step((f64::from(i) - 30.0) / 50.0);
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), tilt);
+        let now = Pose::from_parts(mug.translation, turn * mug.rotation);
+        let mut f = last.clone();
+        f.stamp = Stamp(last.stamp.0 + i64::from(i) * 33_333_333);
+        f.objects.get_mut("mug").unwrap().0 = now;
+        f.hand = last.hand.map(|h| h.map(|p| now * (mug.inverse() * p)));
+        frames.push(f);
+    }
+    frames
+}
+
+#[test]
+fn a_pour_ends_in_the_hand_and_may_be_a_procedure_of_its_own() {
+    use GripperEnd::{Close, None as Stay};
+    let frames = pouring(0.0, 1);
+    let one = cup_and(&[("reach", "tcp", "mug", Close), ("pour", "mug", "coaster", Stay)]);
+    let (d, r) = parse(&frames, &one, &ParseConfig::default()).unwrap();
+    let tilt = |p: &Pose| (p.rotation * Vector3::z()).angle(&Vector3::z());
+    let pour = d.procedure("pour").unwrap();
+    assert!((tilt(&pour.goal()) - 1.9).abs() < 0.03, "{}", tilt(&pour.goal()));
+    assert!(tilt(&pour.trajectory.first().pose) < 1e-6 && pour.goal().translation.z > 0.08);
+    assert_eq!(r.of(RepairKind::ReleaseAdded).count(), 0);
+    let (set, report) = generate(&d, &one, 10, 1).unwrap();
+    assert!(report.procedures[1].worst_end_miss < 1e-9, "{report:?}");
+    assert!(set.procedures[1].trajectories.iter().all(|t| tilt(&t.last().pose) > 1.8));
+
+    // Carry over, then pour: the pause between the two is the boundary.
+    let two = cup_and(&[
+        ("reach", "tcp", "mug", Close),
+        ("over", "mug", "coaster", Stay),
+        ("pour", "mug", "coaster", Stay),
+    ]);
+    let (d, _) = parse(&frames, &two, &ParseConfig::default()).unwrap();
+    let (over, pour) = (d.procedure("over").unwrap(), d.procedure("pour").unwrap());
+    assert_eq!(pour.trajectory.first().pose, over.goal(), "chained");
+    assert!(tilt(&over.goal()) < 0.3 && tilt(&pour.goal()) > 1.8, "{}", tilt(&over.goal()));
+    let (set, _) = generate(&d, &two, 10, 1).unwrap();
+    for t in &set.procedures[2].trajectories[..10] {
+        let (dp, dr) = pose_distance(&t.first().pose, &over.goal());
+        assert!(dp < 0.02 && dr < 0.2, "starts where the carry ends: {dp} m, {dr} rad");
+    }
+}
+
+#[test]
+fn a_hand_task_with_a_grip_in_the_middle() {
+    use GripperEnd::{Close, Open};
+    let mut frames = Vec::new();
+    let drawer = pose_from_xyz_rpy([0.55, 0.1, 0.1], [0.0; 3]);
+    let handle = pose_from_xyz_rpy([0.40, 0.1, 0.12], [PI, 0.3, 0.0]);
+    for i in 0..150 {
+        let f = f64::from(i);
+        let near = 0.25 * (1.0 - smooth_step(f / 50.0));
+        let pull = 0.12 * smooth_step((f - 65.0) / 40.0);
+        let open = 0.03 * (1.0 - smooth_step((f - 50.0) / 8.0) + smooth_step((f - 112.0) / 8.0));
+        let tool = Pose::translation(-pull, 0.0, 0.0) * handle * Pose::translation(0.0, 0.0, -near);
+        frames.push(FrameObservation {
+            stamp: Stamp(i64::from(i) * 33_333_333),
+            objects: BTreeMap::from([("drawer".to_string(), (drawer, 0.9))]),
+            hand: Some(hand(&tool, open)),
+        });
+    }
+    let mut t = cup_and(&[("approach", "tcp", "drawer", Close), ("pull", "tcp", "drawer", Open)]);
+    (t.kind, t.moving_object, t.reference_object) = (TaskKind::Hand, "tcp".into(), "drawer".into());
+    t.objects = BTreeMap::from([(
+        "drawer".to_string(),
+        crate::ObjectShape {
+            symmetry: Symmetry::None,
+            radius: 0.1,
+            height: 0.1,
+            bottom: -0.1,
+            stands: false,
+        },
+    )]);
+    let (d, r) = parse(&frames, &t, &ParseConfig::default()).unwrap();
+    let bounds: Vec<i64> =
+        r.segments.unwrap().procedures.iter().map(|s| s.last / 33_333_333).collect();
+    assert!((50..60).contains(&bounds[0]) && (112..122).contains(&bounds[1]), "{bounds:?}");
+    assert!(d.grasp.is_none() && d.grasp_of(1).is_none());
+    assert_eq!(d.procedures[0].goal(), d.procedures[1].trajectory.first().pose);
+    let moved =
+        d.procedures[1].goal().translation.vector - d.procedures[0].goal().translation.vector;
+    assert!((moved.x + 0.12).abs() < 0.005, "{moved}");
+    let (set, report) = generate(&d, &t, 10, 1).unwrap();
+    assert_eq!(report.procedures[0].rules["lead_in"], 10);
+    assert!(
+        set.procedures[1].trajectories[..10]
+            .iter()
+            .all(|t| { pose_distance(&t.first().pose, &d.procedures[0].goal()).0 < 0.02 })
+    );
+    // A hand that never closes leaves no boundary to see.
+    for f in &mut frames {
+        f.hand = f.hand.map(|mut h| {
+            h[4] = h[3];
+            h[8] = h[3];
+            h
+        });
+    }
+    let e = parse(&frames, &t, &ParseConfig::default()).unwrap_err();
+    assert!(matches!(e, DemonstrationError::NoBoundary { .. }), "{e}");
+}
+
+#[test]
+fn rotations_that_are_none_and_uneven_stamps() {
+    let mut s = scene(0.001, 1);
+    let q = s.frames[40].objects["mug"].0.rotation.into_inner() * 1.2;
+    s.frames[40].objects.get_mut("mug").unwrap().0.rotation = UnitQuaternion::new_unchecked(q);
+    let e = parse(&s.frames, &task(), &ParseConfig::default()).unwrap_err();
+    assert!(matches!(e, DemonstrationError::NotARotation { frame: 40, .. }), "{e}");
+
+    // Quaternions of either sign, jittered stamps, dropped frames: the same demonstration.
+    let clean = scene(0.0, 1).frames;
+    let (want, _) = parse(&clean, &task(), &ParseConfig::default()).unwrap();
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    let mut frames = clean.clone();
+    for f in &mut frames {
+        let m = f.objects.get_mut("mug").unwrap();
+        if rng.random::<bool>() {
+            m.0.rotation = UnitQuaternion::new_unchecked(-m.0.rotation.into_inner());
+        }
+    }
+    let mut i = 0;
+    frames.retain(|_| {
+        i += 1;
+        i % 7 != 0
+    });
+    let (got, r) = parse(&frames, &task(), &ParseConfig::default()).unwrap();
+    assert!(r.of(RepairKind::UnevenStamps).next().is_some_and(|u| u.magnitude > 0.06));
+    let place = |d: &Demonstration| d.procedure("place").unwrap().clone();
+    let (a, b) = (place(&want), place(&got));
+    assert!(pose_distance(&a.goal(), &b.goal()).0 < 1e-3);
+    for w in b.trajectory.points().windows(2) {
+        let (d, t) = pose_distance(&w[0].pose, &w[1].pose);
+        assert!(d < 0.05 && t < 0.1, "{d} m, {t} rad");
+        let (p, q) = (w[0].pose.rotation.coords, w[1].pose.rotation.coords);
+        assert!(p.dot(&q) > 0.0, "one sign");
+    }
 }

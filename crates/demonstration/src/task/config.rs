@@ -29,22 +29,59 @@ pub struct Workspace {
     pub y: [f64; 2],
     /// No start of the moving object nearer than this to the reference object (m, in the plane).
     pub exclude_radius: f64,
+    /// Corners (x, y) of an area within the rectangle; none = all of it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub polygon: Vec<[f64; 2]>,
 }
 
 impl Workspace {
-    /// Whether a start (base_link, m) is inside the rectangle and outside the excluded disc round
-    /// the reference object.
+    /// Whether a start (base_link, m) is inside rectangle and polygon and outside the excluded disc
+    /// round the reference object.
     pub fn allows(&self, xy: [f64; 2], reference_xy: [f64; 2]) -> bool {
-        (self.x[0]..=self.x[1]).contains(&xy[0])
-            && (self.y[0]..=self.y[1]).contains(&xy[1])
+        self.contains(xy)
             && (xy[0] - reference_xy[0]).hypot(xy[1] - reference_xy[1]) >= self.exclude_radius
     }
 
-    pub(super) fn validate(&self, p: &mut Vec<String>) {
-        range(p, "workspace.x", self.x, -2.0, 2.0);
-        range(p, "workspace.y", self.y, -2.0, 2.0);
-        within(p, "workspace.exclude_radius", self.exclude_radius, 0.0, 1.0);
+    /// Whether a point is inside rectangle and polygon.
+    pub fn contains(&self, xy: [f64; 2]) -> bool {
+        (self.x[0]..=self.x[1]).contains(&xy[0])
+            && (self.y[0]..=self.y[1]).contains(&xy[1])
+            && (self.polygon.is_empty() || inside(&self.polygon, xy))
     }
+
+    /// Whether any start is left, by a grid of 100 x 100 points.
+    pub fn is_usable(&self, reference_xy: [f64; 2]) -> bool {
+        let at = |r: [f64; 2], i: usize| r[0] + (r[1] - r[0]) * (i as f64 + 0.5) / 100.0;
+        (0..100)
+            .any(|i| (0..100).any(|j| self.allows([at(self.x, i), at(self.y, j)], reference_xy)))
+    }
+
+    pub(super) fn validate(&self, at: &str, p: &mut Vec<String>) {
+        range(p, &format!("{at}.x"), self.x, -2.0, 2.0);
+        range(p, &format!("{at}.y"), self.y, -2.0, 2.0);
+        within(p, &format!("{at}.exclude_radius"), self.exclude_radius, 0.0, 1.0);
+        let n = self.polygon.len();
+        if n == 1 || n == 2 {
+            p.push(format!("{at}.polygon has {n} corners, three or more make an area"));
+        }
+        if !self.polygon.iter().flatten().all(|v| v.is_finite()) {
+            p.push(format!("{at}.polygon has a corner that is not finite"));
+        }
+    }
+}
+
+/// Even-odd rule.
+fn inside(polygon: &[[f64; 2]], [x, y]: [f64; 2]) -> bool {
+    let mut inside = false;
+    let mut last = polygon[polygon.len() - 1];
+    for corner in polygon {
+        let ([ax, ay], [bx, by]) = (last, *corner);
+        if (ay > y) != (by > y) && x < ax + (y - ay) / (by - ay) * (bx - ax) {
+            inside = !inside;
+        }
+        last = *corner;
+    }
+    inside
 }
 
 /// A direction of the object along which the gripper may close.
@@ -92,27 +129,27 @@ impl Default for GraspConfig {
 }
 
 impl GraspConfig {
-    pub(super) fn validate(&self, p: &mut Vec<String>) {
-        positive(p, "grasp.max_opening", self.max_opening, 0.3);
-        within(p, "grasp.clearance", self.clearance, 0.0, 0.05);
-        within(p, "grasp.max_turn_deg", self.max_turn_deg, 0.0, 180.0);
-        within(p, "grasp.max_tilt_deg", self.max_tilt_deg, 0.0, 180.0);
+    pub(super) fn validate(&self, at: &str, p: &mut Vec<String>) {
+        positive(p, &format!("{at}.max_opening"), self.max_opening, 0.3);
+        within(p, &format!("{at}.clearance"), self.clearance, 0.0, 0.05);
+        within(p, &format!("{at}.max_turn_deg"), self.max_turn_deg, 0.0, 180.0);
+        within(p, &format!("{at}.max_tilt_deg"), self.max_tilt_deg, 0.0, 180.0);
         if let Some(h) = self.height
             && !(h[0] <= h[1] && h[0].abs() < 1.0 && h[1].abs() < 1.0)
         {
-            p.push(format!("grasp.height {h:?} must be [low, high] within +-1 m"));
+            p.push(format!("{at}.height {h:?} must be [low, high] within +-1 m"));
         }
         for (i, c) in self.closing.iter().enumerate() {
             if !(1e-6..1e6).contains(&Vector3::from(c.axis).norm()) {
-                p.push(format!("grasp.closing[{i}].axis {:?} has no direction", c.axis));
+                p.push(format!("{at}.closing[{i}].axis {:?} has no direction", c.axis));
             }
-            positive(p, &format!("grasp.closing[{i}].width"), c.width, 1.0);
+            positive(p, &format!("{at}.closing[{i}].width"), c.width, 1.0);
         }
         if !self.closing.is_empty()
             && self.closing.iter().all(|c| c.width + self.clearance > self.max_opening)
         {
             p.push(format!(
-                "grasp.closing: no axis is narrow enough for an opening of {} m with {} m of room",
+                "{at}.closing: no axis is narrow enough for an opening of {} m with {} m of room",
                 self.max_opening, self.clearance
             ));
         }
@@ -128,6 +165,11 @@ pub enum GenerationMode {
     /// Log-polar fade into the exact last part of the demonstration.
     #[default]
     Repaired,
+    /// Comparator: the last part of the demonstration as it is, a straight line with the shortest turn
+    /// before it, as MimicGen and DemoGen do.
+    Rigid,
+    /// Comparator: dynamic movement primitive, learned from the one path; its end is approached, not met.
+    Dmp,
 }
 
 /// Where the gripper may start a reach (base_link, m).
@@ -215,7 +257,12 @@ pub struct GenerationConfig {
     pub alpha: f64,
     /// Yaw of the moving object at its start (deg, base_link).
     pub yaw_deg: [f64; 2],
-    /// Largest tilt of the moving object at the start of `place` (deg).
+    /// Roll of the moving object at the start of a carry (deg, about base_link's x), added to the
+    /// demonstrated orientation; equal ends = always this much.
+    pub roll_deg: [f64; 2],
+    /// Pitch likewise, about base_link's y.
+    pub pitch_deg: [f64; 2],
+    /// Largest tilt of the moving object at the start of `place` (deg), about any horizontal axis.
     pub tilt_deg: f64,
     /// Turn the start's yaw with the direction of the start, instead of drawing it.
     pub yaw_follows: bool,
@@ -247,6 +294,8 @@ impl Default for GenerationConfig {
             count: 50,
             alpha: 0.25,
             yaw_deg: [-180.0, 180.0],
+            roll_deg: [0.0; 2],
+            pitch_deg: [0.0; 2],
             tilt_deg: 0.0,
             yaw_follows: false,
             reference_spread: 0.10,
@@ -271,7 +320,14 @@ impl GenerationConfig {
         if !(self.alpha > 0.0 && self.alpha < 0.9) {
             p.push(format!("generation.alpha {} must be within 0..0.9, both excluded", self.alpha));
         }
-        range(p, "generation.yaw_deg", self.yaw_deg, -180.0, 180.0);
+        let turn = |p: &mut Vec<String>, name: &str, r: [f64; 2]| {
+            if !(r[0] <= r[1] && r[0] >= -180.0 && r[1] <= 180.0) {
+                p.push(format!("{name} [{}, {}] must be [low, high] within -180..180", r[0], r[1]));
+            }
+        };
+        turn(p, "generation.yaw_deg", self.yaw_deg);
+        turn(p, "generation.roll_deg", self.roll_deg);
+        turn(p, "generation.pitch_deg", self.pitch_deg);
         within(p, "generation.tilt_deg", self.tilt_deg, 0.0, 60.0);
         within(p, "generation.reference_spread", self.reference_spread, 0.0, 0.5);
         within(p, "generation.lift", self.lift, 0.0, 0.3);

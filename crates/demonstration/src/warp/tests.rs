@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use tdv_geometry::{pose_distance, pose_from_xyz_rpy};
 
 /// The demonstration of the table: 29 cm in the plane, 12 cm of lift, ends 7 cm above its start.
-fn demo() -> Vec<Pose> {
+pub(super) fn demo() -> Vec<Pose> {
     (0..80)
         .map(|i| {
             let s = smooth_step(f64::from(i) / 79.0);
@@ -16,7 +16,7 @@ fn demo() -> Vec<Pose> {
 }
 
 /// A demonstration that starts 2 mm beside the vertical above its end.
-fn from_above() -> Vec<Pose> {
+pub(super) fn from_above() -> Vec<Pose> {
     (0..80)
         .map(|i| {
             let s = smooth_step(f64::from(i) / 79.0);

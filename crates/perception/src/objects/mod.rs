@@ -179,6 +179,16 @@ impl Objects {
         self.attachment.as_ref().and_then(Attachment::pose)
     }
 
+    /// Which object the gripper holds when it holds something; empty: none of these.
+    pub fn set_moving(&mut self, name: &str) {
+        if self.task.moving == name {
+            return;
+        }
+        self.attachment = None;
+        self.slipped = false;
+        self.task.moving = name.to_owned();
+    }
+
     /// Forgets an object (all for an empty name). False when no object has this name.
     pub fn reset(&mut self, name: &str) -> bool {
         let mut any = false;

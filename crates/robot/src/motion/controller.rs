@@ -44,6 +44,7 @@ pub struct ArmController {
     pub(super) apart_since: Option<Stamp>,
     pub(super) note: String,
     pub(super) reset_switch: bool,
+    pub(super) regrasp: bool,
     pub(super) gripper_request: Option<GripperRequest>,
     pub(super) hold: Option<Hold>,
     /// What the arm may run into, besides the table.
@@ -101,6 +102,7 @@ impl ArmController {
             apart_since: None,
             note: String::new(),
             reset_switch: false,
+            regrasp: false,
             gripper_request: None,
             hold,
             world: None,
@@ -143,12 +145,12 @@ impl ArmController {
         let dt = dt.max(0.0) * scaling.clamp(0.0, 1.0);
         self.last = Some(now);
         self.ticks += 1;
-        self.reset_switch = false;
+        (self.reset_switch, self.regrasp) = (false, false);
         self.gripper_request = None;
         // A switch policy that was started again begins with the first procedure until it has read here
         // that something is held: nothing is dropped for that.
         if let Some(p) = input.procedure
-            && !(self.held && p.procedure < self.params.grasp_procedure)
+            && !(self.held && p.procedure < self.procedure)
         {
             self.procedure = p.procedure;
         }
@@ -403,6 +405,7 @@ impl ArmController {
             trajectory,
             gripper,
             reset_switch: self.reset_switch,
+            regrasp: self.regrasp,
             status: Status {
                 code,
                 sentence,

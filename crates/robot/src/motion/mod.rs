@@ -1,5 +1,5 @@
 //! The arm controller's core: object path -> tool path -> joints -> short trajectories that end at
-//! rest, the gripper, and the order of a pick-and-place task. Pure: time comes in as an argument.
+//! rest, the gripper, and the order of a task's procedures. Pure: time comes in as an argument.
 
 mod controller;
 mod guards;
@@ -17,7 +17,7 @@ pub use params::{ControllerParams, GripParams};
 pub use plan::PlanError;
 pub use projection::Refusal;
 pub use types::{
-    Attach, ControllerInput, ControllerOutput, GripperFeedback, GripperRequest, JointPath,
-    JointState, Moving, ObjectPlace, ObjectReport, PathPoint, Plan, ProcedureState, Requests,
-    Status, StatusCode,
+    Attach, ControllerInput, ControllerOutput, GripperEnd, GripperFeedback, GripperRequest,
+    JointPath, JointState, Moving, ObjectPlace, ObjectReport, PathPoint, Plan, ProcedureState,
+    Requests, Status, StatusCode,
 };

@@ -103,8 +103,6 @@ pub struct ControllerParams {
     pub dry_run: bool,
     /// After a stop go on by itself once the cause is gone; for the lab only.
     pub auto_resume: bool,
-    /// The first procedure that moves an object: on its start the gripper closes.
-    pub grasp_procedure: u32,
     /// The gripper.
     pub grip: GripParams,
     /// Pause before the release.
@@ -142,7 +140,6 @@ impl Default for ControllerParams {
             table_slide: 0.010,
             dry_run: false,
             auto_resume: false,
-            grasp_procedure: 1,
             grip: GripParams::default(),
             release_dwell: 0.3,
             retreat_distance: 0.10,

@@ -1,10 +1,15 @@
-//! The order of a pick-and-place task: prepare, reach, close, carry, open, back off.
+//! The order of a task: prepare, follow, close, follow, open, back off, as its procedures want it.
+//!
+//! A procedure says whether something is held during it: the gripper closes before the first that does, and
+//! opens, and the arm backs off, before the first that does not any more. What happens after the last one
+//! is said by its end.
 
 use super::controller::{ArmController, Motion};
 use super::hold::Cause;
 use super::planned::PlannedPath;
 use super::types::{
-    ControllerInput, GripperFeedback, GripperRequest, ObjectPlace, ProcedureState, StatusCode,
+    ControllerInput, GripperEnd, GripperFeedback, GripperRequest, Moving, ObjectPlace,
+    ProcedureState, StatusCode,
 };
 use crate::gripper::gap_from_knuckle;
 use crate::kinematics::Joints;
@@ -53,11 +58,11 @@ impl Script {
 /// What follows once the gripper is open.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Purpose {
-    /// Begin with the first procedure.
+    /// Begin with a procedure that needs the hand free.
     Prepare,
-    /// The object is at its target: back off, done.
+    /// What was held is where it belongs: back off, go on, or done after the last procedure.
     Release,
-    /// Grip failed or object lost: back off, start over.
+    /// Grip failed or object lost: back off, grasp again.
     Recover,
     /// Reset by the operator.
     Reset,
@@ -67,14 +72,32 @@ pub(super) enum Purpose {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Phase {
     Start,
-    Open { purpose: Purpose, sent: Option<(u32, Stamp)> },
+    Open {
+        purpose: Purpose,
+        sent: Option<(u32, Stamp)>,
+    },
     Follow,
-    Close { sent: Option<(u32, Stamp)> },
-    AwaitAttach { since: Stamp },
-    Dwell { since: Stamp },
-    Retreat { purpose: Purpose, script: Option<Script> },
-    AwaitReset { asked: Option<Stamp> },
-    Homing { script: Option<Script> },
+    Close {
+        sent: Option<(u32, Stamp)>,
+    },
+    AwaitAttach {
+        since: Stamp,
+    },
+    Dwell {
+        since: Stamp,
+    },
+    Retreat {
+        purpose: Purpose,
+        script: Option<Script>,
+    },
+    /// The switch policy is to go back: to the first procedure, or to the one that grasps.
+    AwaitReset {
+        asked: Option<Stamp>,
+        regrasp: bool,
+    },
+    Homing {
+        script: Option<Script>,
+    },
     Done,
 }
 
@@ -106,7 +129,7 @@ impl ArmController {
         let Some(procedure) = input.procedure else { return self.advance_without_switch(now, dt) };
         match self.phase {
             Phase::Start => {
-                self.start(input, procedure.complete);
+                self.start(input, procedure);
                 Motion::Rest
             }
             Phase::Open { purpose, sent } => self.open(now, input, purpose, sent),
@@ -117,7 +140,10 @@ impl ArmController {
                     return Motion::Rest;
                 }
                 let grip = &self.params.grip;
-                let known = input.attach.is_some_and(|a| self.attach_usable(&a));
+                // The gripper's own path needs no object's pose in it.
+                let known = procedure.moving == Moving::Tcp
+                    || procedure.complete
+                    || input.attach.is_some_and(|a| self.attach_usable(&a));
                 if known && now.since(since) >= grip.dwell {
                     self.phase = Phase::Follow;
                 }
@@ -129,20 +155,23 @@ impl ArmController {
                 }
                 Motion::Rest
             }
-            Phase::Retreat { purpose, script } => self.retreat(now, dt, purpose, script),
-            Phase::AwaitReset { asked } => {
-                let first = self.procedure < self.params.grasp_procedure && !procedure.complete;
-                if first {
+            Phase::Retreat { purpose, script } => {
+                self.retreat(now, dt, purpose, script, procedure.complete)
+            }
+            Phase::AwaitReset { asked, regrasp } => {
+                let back = if regrasp { !procedure.grip } else { procedure.procedure == 0 };
+                if back && !procedure.complete {
                     self.phase = Phase::Start;
                 } else if asked.is_none_or(|t| now.since(t) >= ASK_AGAIN) {
-                    self.reset_switch = true;
-                    self.phase = Phase::AwaitReset { asked: Some(now) };
+                    (self.reset_switch, self.regrasp) = (true, regrasp);
+                    self.phase = Phase::AwaitReset { asked: Some(now), regrasp };
                 }
                 Motion::Rest
             }
             Phase::Homing { script } => self.go_home(now, dt, script),
             Phase::Done => {
-                let again = self.procedure < self.params.grasp_procedure && !procedure.complete;
+                // What the task has left in the gripper is not dropped by a new beginning.
+                let again = procedure.procedure == 0 && !procedure.complete && !self.held;
                 if again && self.params.auto_resume {
                     self.phase = Phase::Start;
                 }
@@ -160,13 +189,14 @@ impl ArmController {
     }
 
     /// Also a restart in mid-task comes through here: the procedure and the fingers say where it was.
-    fn start(&mut self, input: &ControllerInput, complete: bool) {
+    fn start(&mut self, input: &ControllerInput, procedure: ProcedureState) {
         let Some(gripper) = input.gripper else { return };
         let open = self.is_open(&gripper);
-        let object = self.procedure >= self.params.grasp_procedure;
-        self.phase = match (complete, object) {
-            (true, _) if open => Phase::Done,
-            (true, _) => Phase::Open { purpose: Purpose::Release, sent: None },
+        self.phase = match (procedure.complete, procedure.grip) {
+            (true, _) if !open && procedure.end == GripperEnd::Open => {
+                Phase::Open { purpose: Purpose::Release, sent: None }
+            }
+            (true, _) => Phase::Done,
             // Closing again on an object already held confirms it.
             (false, true) => Phase::Close { sent: None },
             (false, false) if open => Phase::Follow,
@@ -180,20 +210,28 @@ impl ArmController {
         }
         if procedure.complete {
             self.follower.clear();
-            self.phase = if self.held { Phase::Dwell { since: now } } else { Phase::Done };
+            self.phase = match procedure.end {
+                GripperEnd::Open if self.held => Phase::Dwell { since: now },
+                GripperEnd::Close if !self.held => Phase::Close { sent: None },
+                _ => Phase::Done,
+            };
             return Motion::Rest;
         }
         if procedure.procedure != self.procedure {
             let text = format!(
-                "the switch policy is at procedure {} while an object is held",
+                "the switch policy went back to procedure {} while an object is held",
                 procedure.procedure
             );
             self.hold(now, Cause::Stale, text);
             return Motion::Rest;
         }
-        if self.procedure >= self.params.grasp_procedure && !self.held {
+        if procedure.grip != self.held {
             self.follower.clear();
-            self.phase = Phase::Close { sent: None };
+            self.phase = if procedure.grip {
+                Phase::Close { sent: None }
+            } else {
+                Phase::Dwell { since: now }
+            };
             return Motion::Rest;
         }
         if let Some(plan) = input.plan.as_ref().filter(|p| p.procedure == self.procedure) {
@@ -251,7 +289,7 @@ impl ArmController {
                 self.held = false;
                 self.phase = match purpose {
                     Purpose::Prepare => Phase::Start,
-                    Purpose::Reset => Phase::AwaitReset { asked: None },
+                    Purpose::Reset => Phase::AwaitReset { asked: None, regrasp: false },
                     Purpose::Release | Purpose::Recover => Phase::Retreat { purpose, script: None },
                 };
             }
@@ -304,7 +342,14 @@ impl ArmController {
         Motion::Rest
     }
 
-    fn retreat(&mut self, now: Stamp, dt: f64, purpose: Purpose, script: Option<Script>) -> Motion {
+    fn retreat(
+        &mut self,
+        now: Stamp,
+        dt: f64,
+        purpose: Purpose,
+        script: Option<Script>,
+        complete: bool,
+    ) -> Motion {
         let p = &self.params;
         let mut script = script.unwrap_or_else(|| {
             let from = self.commanded_tool();
@@ -316,8 +361,10 @@ impl ArmController {
         self.phase = Phase::Retreat { purpose, script: Some(script) };
         if self.arrived(&script) {
             self.phase = match purpose {
-                Purpose::Recover | Purpose::Reset => Phase::AwaitReset { asked: None },
-                Purpose::Release | Purpose::Prepare => Phase::Done,
+                Purpose::Recover => Phase::AwaitReset { asked: None, regrasp: true },
+                Purpose::Reset => Phase::AwaitReset { asked: None, regrasp: false },
+                Purpose::Release | Purpose::Prepare if complete => Phase::Done,
+                Purpose::Release | Purpose::Prepare => Phase::Start,
             };
             return Motion::Rest;
         }

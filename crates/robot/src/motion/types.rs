@@ -41,6 +41,18 @@ pub struct JointState {
     pub qd: Joints,
 }
 
+/// What the gripper does at the end of a procedure.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum GripperEnd {
+    /// Stays as it is.
+    #[default]
+    None,
+    /// Closes.
+    Close,
+    /// Opens, and the arm backs off.
+    Open,
+}
+
 /// Newest word of the switch policy.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ProcedureState {
@@ -48,8 +60,30 @@ pub struct ProcedureState {
     pub stamp: Stamp,
     /// Current procedure.
     pub procedure: u32,
-    /// The last procedure has ended: release.
+    /// The last procedure has ended: its `end` is due.
     pub complete: bool,
+    /// The fingers are closed on something during it. The gripper closes before it, or opens where they
+    /// are not to be.
+    pub grip: bool,
+    /// What it moves.
+    pub moving: Moving,
+    /// What the gripper does at its end; counts for the last procedure, between two `grip` says it.
+    pub end: GripperEnd,
+}
+
+impl ProcedureState {
+    /// Of the task with two procedures: 0 reaches for an object, 1 carries it and lets it go.
+    pub fn pick_and_place(stamp: Stamp, procedure: u32, complete: bool) -> Self {
+        let carries = procedure > 0;
+        Self {
+            stamp,
+            procedure,
+            complete,
+            grip: carries,
+            moving: if carries { Moving::Object } else { Moving::Tcp },
+            end: if carries { GripperEnd::Open } else { GripperEnd::Close },
+        }
+    }
 }
 
 /// Pose of the held object in the gripper, `T_tcp_object`.
@@ -268,8 +302,10 @@ pub struct ControllerOutput {
     pub trajectory: Option<JointPath>,
     /// To the gripper action.
     pub gripper: Option<GripperRequest>,
-    /// Ask the switch policy to begin again at procedure 0 (an edge).
+    /// Ask the switch policy to begin again (an edge) ...
     pub reset_switch: bool,
+    /// ... not at procedure 0, but at the one that grasps what the present one presupposes.
+    pub regrasp: bool,
     /// For the status topic.
     pub status: Status,
 }

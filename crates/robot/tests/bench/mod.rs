@@ -93,6 +93,20 @@ pub struct Log {
     pub ends: Vec<(f64, f64)>,
 }
 
+/// What the switch policy says of a procedure.
+#[derive(Debug, Clone, Copy)]
+pub struct Step {
+    pub moving: Moving,
+    pub grip: bool,
+    pub end: GripperEnd,
+}
+
+impl Step {
+    pub fn new(moving: Moving, grip: bool, end: GripperEnd) -> Self {
+        Self { moving, grip, end }
+    }
+}
+
 pub struct Bench {
     pub k: Kinematics,
     pub controller: ArmController,
@@ -105,8 +119,11 @@ pub struct Bench {
     pub noise: f64,
     pub pull: f64,
     /// `T_base_link_reference` of each procedure.
-    pub references: [Pose; 2],
-    pub policies: [Policy; 2],
+    pub references: Vec<Pose>,
+    pub policies: Vec<Policy>,
+    pub steps: Vec<Step>,
+    /// Procedures that the switch policy went back to.
+    pub went_back: Vec<u32>,
     pub procedure: u32,
     pub complete: bool,
     pub input: ControllerInput,
@@ -165,8 +182,13 @@ impl Bench {
             latency: (0.06, 0.10),
             noise: 0.0,
             pull: 0.0,
-            references: [mug, coaster],
-            policies: [Policy { path: reach, phase: 0.0 }, Policy { path: place, phase: 0.0 }],
+            references: vec![mug, coaster],
+            policies: vec![Policy { path: reach, phase: 0.0 }, Policy { path: place, phase: 0.0 }],
+            steps: vec![
+                Step::new(Moving::Tcp, false, GripperEnd::Close),
+                Step::new(Moving::Object, true, GripperEnd::Open),
+            ],
+            went_back: Vec::new(),
             procedure: 0,
             complete: false,
             input: ControllerInput::default(),
@@ -196,12 +218,15 @@ impl Bench {
     /// `T_reference_moving` as the arm is now.
     pub fn relative(&self) -> Pose {
         let tcp = self.k.fk_tcp(&self.q);
-        let moving = if self.procedure == 0 { tcp } else { tcp * self.attach };
+        let moving = match self.steps[self.index()].moving {
+            Moving::Tcp => tcp,
+            Moving::Object => tcp * self.attach,
+        };
         self.references[self.index()].inverse() * moving
     }
 
     fn index(&self) -> usize {
-        self.procedure.min(1) as usize
+        (self.procedure as usize).min(self.steps.len() - 1)
     }
 
     fn observe(&mut self) {
@@ -216,7 +241,7 @@ impl Bench {
         let mut plan = Plan {
             stamp: self.now,
             procedure: self.procedure,
-            moving: if i == 0 { Moving::Tcp } else { Moving::Object },
+            moving: self.steps[i].moving,
             reference_pose: reference,
             moving_pose: Some(seen),
             poses,
@@ -254,6 +279,9 @@ impl Bench {
                 stamp: self.now,
                 procedure: self.procedure,
                 complete: self.complete,
+                grip: self.steps[self.index()].grip,
+                moving: self.steps[self.index()].moving,
+                end: self.steps[self.index()].end,
             });
         }
         if !self.alive {
@@ -266,12 +294,17 @@ impl Bench {
             self.command = Some(g);
         }
         if out.reset_switch {
-            self.procedure = 0;
+            let mut first = if out.regrasp { self.index() } else { 0 };
+            while self.steps[first].grip {
+                first -= 1;
+            }
+            self.procedure = first as u32;
+            self.went_back.push(self.procedure);
             self.complete = false;
-            self.policies[0].phase = 0.0;
+            self.policies[first].phase = 0.0;
         }
-        self.input.attach =
-            out.status.object_held.then_some(Attach { stamp: self.now, pose: self.attach });
+        let tracked = out.status.object_held && self.place != ObjectPlace::Unknown;
+        self.input.attach = tracked.then_some(Attach { stamp: self.now, pose: self.attach });
         self.in_flight.clone_from(&out.trajectory);
         Some(out)
     }
@@ -364,7 +397,11 @@ impl Bench {
                 still = 0;
                 let end = *self.policies[self.index()].path.last().unwrap();
                 self.log.ends.push(pose_distance(&self.relative(), &end));
-                if self.procedure == 0 { self.procedure = 1 } else { self.complete = true }
+                if self.index() + 1 < self.steps.len() {
+                    self.procedure += 1;
+                } else {
+                    self.complete = true;
+                }
             }
             if out.status.done {
                 break;
@@ -374,6 +411,10 @@ impl Bench {
 
     pub fn last_code(&self) -> StatusCode {
         *self.log.codes.last().unwrap()
+    }
+
+    pub fn last_seen(&self) -> Option<StatusCode> {
+        self.log.codes.last().copied()
     }
 
     pub fn last_sentence(&self) -> &str {
