@@ -41,6 +41,6 @@ pub use samples::{ProcedureData, TrainingSet};
 pub use schedule::{SamplingPlan, SamplingStep, Schedule};
 pub use switch::{
     SwitchConfig, SwitchCore, SwitchGuard, SwitchPolicy, SwitchReport, SwitchState,
-    SwitchTrainConfig, train_switch,
+    SwitchTrainConfig, train_progress, train_switch,
 };
 pub use train::{TrainProgress, train};

@@ -138,7 +138,8 @@ fn condition(args: &ClosedLoopArgs) -> String {
     if parts.is_empty() { "plain".into() } else { parts.join(", ") }
 }
 
-fn setup(
+/// How the live graph is started for one trial.
+pub fn setup(
     args: &ClosedLoopArgs,
     task: &Task,
     scene: &Scene,
@@ -193,7 +194,8 @@ fn setup(
     }
 }
 
-fn trial(task: &Task, seed: u64, outcome: &TrialOutcome) -> Trial {
+/// What a live trial comes to.
+pub fn trial(task: &Task, seed: u64, outcome: &TrialOutcome) -> Trial {
     let start = outcome.start.get(&task.moving_object).map_or([f64::NAN; 4], |p| {
         [p.translation.x, p.translation.y, p.translation.z, yaw_of(&p.rotation)]
     });
