@@ -132,7 +132,11 @@ impl Run<'_> {
             }
             self.deliver(time);
             self.was_held |= self.plant.word.held;
-            self.stopped |= self.plant.lab.incidents().protective_stops > 0;
+            if self.plant.lab.incidents().protective_stops > 0 {
+                // Nobody unlocks it: the trial is lost.
+                self.stopped = true;
+                self.plant.lab.conclude("the robot stopped for protection");
+            }
             if self.plant.word.code == Some(StatusCode::Done) {
                 let since = *done_since.get_or_insert(time);
                 let waiting = self.plant.lab.trial().reason.contains("waiting for rest");
