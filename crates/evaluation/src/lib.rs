@@ -7,6 +7,7 @@ mod page;
 mod plot;
 mod statistics;
 mod stream;
+pub mod table2;
 mod tracking;
 
 pub use closed_loop::{ClosedLoopReport, ClosedLoopSummary, Fault, LatencyFigures, Trial};

@@ -44,7 +44,7 @@ pub use samples::{ProcedureData, TrainingSet};
 pub use schedule::{SamplingPlan, SamplingStep, Schedule};
 pub use switch::{
     SwitchConfig, SwitchCore, SwitchGuard, SwitchPolicy, SwitchReport, SwitchState,
-    SwitchTrainConfig, train_switch, train_switch_tasks,
+    SwitchTrainConfig, train_progress, train_switch, train_switch_tasks,
 };
 pub use tasks::LearnedTask;
 pub use train::{TrainProgress, Training, train, train_tasks};

@@ -185,6 +185,74 @@ pub enum EvalCommand {
     Faults(FaultsArgs),
     /// Track an object of a recorded data set and compare with its reference poses
     Tracking(TrackingArgs),
+    /// Success by task, demonstrations and level, in one process on simulated time
+    Table2(Table2Args),
+    /// The same for settings that change one thing each
+    Ablations(AblationArgs),
+}
+
+#[derive(Args, Clone)]
+pub struct Table2Args {
+    /// Tasks, by their file's name in config/tasks
+    #[arg(long, value_delimiter = ',', default_value = "cup_on_coaster")]
+    pub tasks: Vec<String>,
+    /// Demonstrations; 1 is the demonstration itself, more are made of it
+    #[arg(long, value_delimiter = ',', default_value = "1,15,50")]
+    pub demos: Vec<usize>,
+    /// PG: the position varies; PoG: position and yaw
+    #[arg(long, value_delimiter = ',', default_value = "PG,PoG")]
+    pub levels: Vec<String>,
+    /// Seeds of training and starts
+    #[arg(long, value_delimiter = ',', default_value = "1")]
+    pub seeds: Vec<u64>,
+    /// Drawn starts per cell and seed, besides the 13 fixed points
+    #[arg(long, default_value_t = 100)]
+    pub starts: usize,
+    /// Leave the 13 fixed points out
+    #[arg(long)]
+    pub no_points: bool,
+    /// Who drives: learned, straight_line, open_loop
+    #[arg(long, value_delimiter = ',', default_value = "learned,straight_line,open_loop")]
+    pub policies: Vec<String>,
+    /// Besides, all cells with an object pushed by 5 to 10 cm in mid-run
+    #[arg(long)]
+    pub disturb: bool,
+    /// What is observed: 'truth' (with 2 mm and 1 deg of noise) or 'perceived' (needs --live)
+    #[arg(long, default_value = "truth")]
+    pub poses: String,
+    /// Run each trial with the real graph over DDS
+    #[arg(long)]
+    pub live: bool,
+    /// Result file
+    #[arg(long)]
+    pub json: Option<PathBuf>,
+    /// Folder for models, trials, table and plot; a run that was ended goes on from there
+    #[arg(long, default_value = "runs/table2")]
+    pub out: PathBuf,
+    /// Only every n-th trial, I/N with I from 1
+    #[arg(long)]
+    pub shard: Option<String>,
+    /// Training steps of every policy
+    #[arg(long, default_value_t = 600)]
+    pub steps: usize,
+    /// Threads, by trial
+    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u8).range(1..=64))]
+    pub threads: u8,
+    /// Instead of running: one table of these result files (.json) and trial files (.jsonl)
+    #[arg(long, num_args = 1.., value_name = "FILE")]
+    pub merge: Vec<PathBuf>,
+    /// Launch file of --live
+    #[arg(long, default_value = "launch_scripts/closed_loop.launch.yaml")]
+    pub launch_file: PathBuf,
+}
+
+#[derive(Args, Clone)]
+pub struct AblationArgs {
+    #[command(flatten)]
+    pub table: Table2Args,
+    /// Settings to try [default: all]
+    #[arg(long, value_delimiter = ',')]
+    pub arms: Vec<String>,
 }
 
 #[derive(Args)]

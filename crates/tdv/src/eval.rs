@@ -141,7 +141,7 @@ fn condition(args: &ClosedLoopArgs) -> String {
     if parts.is_empty() { "plain".into() } else { parts.join(", ") }
 }
 
-/// How the trial with this seed is run.
+/// How the live graph is started for one trial.
 pub fn setup(
     args: &ClosedLoopArgs,
     task: &Task,
@@ -202,7 +202,8 @@ pub fn setup(
     }
 }
 
-fn trial(task: &Task, seed: u64, outcome: &TrialOutcome) -> Trial {
+/// What a live trial comes to.
+pub fn trial(task: &Task, seed: u64, outcome: &TrialOutcome) -> Trial {
     let start = outcome.start.get(&task.moving_object).map_or([f64::NAN; 4], |p| {
         [p.translation.x, p.translation.y, p.translation.z, yaw_of(&p.rotation)]
     });

@@ -15,6 +15,7 @@ mod picture;
 mod record;
 mod record_demo;
 mod report;
+mod table2;
 mod teach;
 mod teach_multi;
 mod tracking;
@@ -37,6 +38,8 @@ fn main() -> ExitCode {
         Command::Eval(EvalCommand::ClosedLoop(a)) => eval::closed_loop(&a),
         Command::Eval(EvalCommand::Faults(a)) => faults::campaign(&a),
         Command::Eval(EvalCommand::Tracking(a)) => tracking::run(&a),
+        Command::Eval(EvalCommand::Table2(a)) => table2::table(&a),
+        Command::Eval(EvalCommand::Ablations(a)) => table2::ablations(&a),
         Command::Bag(BagCommand::Info { bag }) => bag::info(&bag).map(|()| true),
         Command::Doctor(a) => doctor::run(&a),
         Command::Graph(a) => graph::run(&a).map(|()| true),

@@ -47,6 +47,8 @@ pub struct Planner {
     warm_level: usize,
     encoded: Vec<f32>,
     x: Vec<f32>,
+    /// The encoder runs once per plan.
+    cached: bool,
 }
 
 impl Planner {
@@ -93,7 +95,14 @@ impl Planner {
             warm_level: config.warm_level,
             encoded: vec![0.0; c.history * POSE_DIM],
             x: vec![0.0; c.horizon * POSE_DIM],
+            cached: true,
         })
+    }
+
+    /// Off: the encoder runs again at every step of the sampler, as a network without the cache would.
+    /// The plans are the same to the bit; only for measuring what the cache saves.
+    pub fn set_encoder_cache(&mut self, on: bool) {
+        self.cached = on;
     }
 
     /// Names of the procedures, in their order.
@@ -201,6 +210,9 @@ impl Planner {
         let steps: Vec<usize> = plan.steps.iter().map(|s| s.k).collect();
         self.inference.prepare(&self.encoded, procedure, &steps);
         for (i, step) in plan.steps.iter().enumerate() {
+            if !self.cached && i > 0 {
+                self.inference.prepare(&self.encoded, procedure, &steps);
+            }
             self.inference.denoise(i, &self.x);
             plan.advance(step, &mut self.x, &self.inference.result, || rng.sample(StandardNormal));
         }

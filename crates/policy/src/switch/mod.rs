@@ -4,8 +4,10 @@
 mod checkpoint;
 mod core;
 mod policy;
+mod progress;
 mod train;
 
 pub use self::core::{SwitchConfig, SwitchCore, SwitchGuard, SwitchState};
 pub use policy::SwitchPolicy;
+pub use progress::train_progress;
 pub use train::{SwitchReport, SwitchTrainConfig, train_switch, train_switch_tasks};

@@ -53,7 +53,7 @@ impl Default for SwitchTrainConfig {
 }
 
 impl SwitchTrainConfig {
-    fn validate(&self) -> Result<(), PolicyError> {
+    pub(super) fn validate(&self) -> Result<(), PolicyError> {
         let mut problems = Vec::new();
         for (name, v, low) in [
             ("steps", self.steps, 1),

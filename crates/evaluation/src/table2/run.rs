@@ -1,0 +1,138 @@
+//! Cells, their trials, and running them on several threads.
+
+use super::record::key;
+use super::{
+    Arm, Lesson, Level, PolicyKind, PoseNoise, Setting, Table2Error, TrialRecord, demonstrate,
+    run_trial,
+};
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use tdv_demonstration::{Demonstration, Task};
+use tdv_simulation::{LabAssets, Scene};
+
+/// Trials of a cell whose starts are the fixed points; those that follow are drawn.
+pub const POINTS: usize = 13;
+
+/// A task, ready to be learned and tried.
+#[derive(Debug)]
+pub struct Stage {
+    /// The task.
+    pub task: Task,
+    /// Its scene.
+    pub assets: Arc<LabAssets>,
+    /// The one demonstration.
+    pub demonstration: Demonstration,
+}
+
+impl Stage {
+    /// Loads `config/tasks/NAME.yaml` under `root`, its scene, and has the task demonstrated.
+    ///
+    /// # Errors
+    /// Of the files, and of the scripted demonstrator for a task that it cannot show.
+    pub fn load(root: &Path, name: &str) -> Result<Self, Table2Error> {
+        let task = Task::load(&root.join("config/tasks").join(format!("{name}.yaml")))?;
+        let scene = Scene::load(&root.join(&task.scene))?;
+        let assets = Arc::new(LabAssets::load(scene)?);
+        let (demonstration, _) = demonstrate(&task, &assets)?;
+        Ok(Self { task, assets, demonstration })
+    }
+}
+
+/// One cell of the table, for one seed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Cell {
+    /// Demonstrations; 1 for the controls, which use the demonstration itself.
+    pub demos: usize,
+    /// Level.
+    pub level: Level,
+    /// Who drives.
+    pub policy: PolicyKind,
+    /// An object is pushed in mid-run.
+    pub disturbed: bool,
+    /// Ablation.
+    pub arm: Arm,
+    /// Seed of training and starts.
+    pub seed: u64,
+}
+
+/// One trial to do.
+#[derive(Debug, Clone)]
+pub struct Job {
+    /// Task.
+    pub stage: Arc<Stage>,
+    /// What was taught for the cell.
+    pub lesson: Arc<Lesson>,
+    /// Cell.
+    pub cell: Cell,
+    /// Number of the trial.
+    pub trial: usize,
+}
+
+impl Job {
+    /// The key that its record will have, see [`TrialRecord::key`].
+    pub fn key(&self) -> String {
+        let c = &self.cell;
+        key(
+            &[&self.stage.task.name, &c.arm.name, "truth", &self.lesson.hash],
+            c.demos,
+            (c.level, c.policy, c.disturbed),
+            (c.seed, self.trial),
+        )
+    }
+
+    /// Does it.
+    ///
+    /// # Errors
+    /// As [`run_trial`].
+    pub fn run(&self, noise: PoseNoise) -> Result<TrialRecord, Table2Error> {
+        let setting = Setting {
+            task: &self.stage.task,
+            assets: &self.stage.assets,
+            lesson: &self.lesson,
+            demos: self.cell.demos,
+            level: self.cell.level,
+            policy: self.cell.policy,
+            disturbed: self.cell.disturbed,
+            arm: &self.cell.arm,
+            noise,
+            seed: self.cell.seed,
+        };
+        run_trial(&setting, self.trial)
+    }
+}
+
+/// Does the jobs on so many threads; `done` is told each record as it is finished, one at a time.
+/// The records do not depend on the number of threads, their order does.
+///
+/// # Errors
+/// The first error of a job or of `done`; what was done before has been told.
+pub fn run_jobs(
+    jobs: &[Job],
+    noise: PoseNoise,
+    threads: usize,
+    done: &mut (dyn FnMut(&TrialRecord) -> Result<(), Table2Error> + Send),
+) -> Result<(), Table2Error> {
+    let (next, failed, done) = (AtomicUsize::new(0), AtomicBool::new(false), Mutex::new(done));
+    let work = || -> Result<(), Table2Error> {
+        while !failed.load(Ordering::Relaxed) {
+            let Some(job) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) else { break };
+            let told = job.run(noise).and_then(|record| {
+                let mut done = done.lock().unwrap_or_else(PoisonError::into_inner);
+                (*done)(&record)
+            });
+            if let Err(e) = told {
+                failed.store(true, Ordering::Relaxed);
+                return Err(e);
+            }
+        }
+        Ok(())
+    };
+    std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..threads.max(1)).map(|_| scope.spawn(work)).collect();
+        threads.into_iter().try_for_each(|t| {
+            // A panic of a trial is a finding: it goes on in the caller.
+            t.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        })
+    })
+}
