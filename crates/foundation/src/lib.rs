@@ -4,10 +4,15 @@
 //!
 //! Frames: camera poses are in the optical frame (x right, y down, z forward), metres.
 
+mod availability;
 mod error;
 pub mod layers;
+#[cfg(feature = "onnx")]
+pub mod onnx;
 pub mod pose;
+pub mod text_image;
 mod weights;
 
+pub use availability::{Availability, availability};
 pub use error::FoundationError;
 pub use weights::Weights;

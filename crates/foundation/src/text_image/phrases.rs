@@ -53,9 +53,8 @@ impl Phrases {
                 ids.len()
             ));
         }
-        let (positions, sees) = blocks(&ids, |id| {
-            id == words.start || id == words.end || parting.contains(&id)
-        });
+        let (positions, sees) =
+            blocks(&ids, |id| id == words.start || id == words.end || parting.contains(&id));
         Ok(Self { ids, positions, sees, spans })
     }
 }

@@ -33,8 +33,7 @@ impl WordPiece {
             },
             _ => FoundationError::File { path: path.into(), reason: e.to_string() },
         })?;
-        Self::parse(&text)
-            .map_err(|reason| FoundationError::File { path: path.into(), reason })
+        Self::parse(&text).map_err(|reason| FoundationError::File { path: path.into(), reason })
     }
 
     /// From the text of a vocabulary file; the error is a sentence.
@@ -47,7 +46,12 @@ impl WordPiece {
         let special = |name: &str| {
             ids.get(name).copied().ok_or_else(|| format!("has no {name}; is it BERT's vocab.txt?"))
         };
-        Ok(Self { start: special("[CLS]")?, end: special("[SEP]")?, unknown: special("[UNK]")?, ids })
+        Ok(Self {
+            start: special("[CLS]")?,
+            end: special("[SEP]")?,
+            unknown: special("[UNK]")?,
+            ids,
+        })
     }
 
     /// The number of a piece.
