@@ -4,6 +4,7 @@
 //! Frames: camera poses are in the optical frame (x right, y down, z forward), metres.
 //! `T_a_b` is the pose of b in a.
 
+pub mod backend;
 pub mod catalogue;
 pub mod color;
 mod frame;

@@ -1,0 +1,128 @@
+//! The pipeline with stand-ins for the networks that look at the same crops.
+
+use super::*;
+use candle_core::{D, DType};
+use nalgebra::Point3;
+use tdv_geometry::{Stamp, Symmetry, pose_from_xyz_rpy};
+use tdv_rendering::mesh::primitives::{self, MugSize};
+use tdv_rendering::{Instance, Intrinsics, Lighting, Mesh, Rendered, Renderer};
+
+const K: Intrinsics =
+    Intrinsics { width: 320, height: 240, fx: 305.0, fy: 305.0, cx: 159.5, cy: 119.5 };
+
+/// Moves by the mean difference of the points that both crops have; turns nothing.
+struct Centroids;
+
+impl Refine for Centroids {
+    fn refine(&self, a: &Tensor, b: &Tensor) -> Result<(Tensor, Tensor), FoundationError> {
+        let points = |t: &Tensor| t.narrow(1, 3, 3)?.flatten_from(2);
+        let (a, b) = (points(a)?, points(b)?);
+        let both = (a.narrow(1, 2, 1)?.ne(0f32)?.mul(&b.narrow(1, 2, 1)?.ne(0f32)?)?)
+            .to_dtype(DType::F32)?;
+        let count = (both.sum(D::Minus1)? + 1.0)?;
+        let step = (b - a)?.broadcast_mul(&both)?.sum(D::Minus1)?.broadcast_div(&count)?;
+        let none = step.zeros_like()?;
+        Ok((step, none))
+    }
+}
+
+/// Prefers small differences of the crops.
+struct Difference;
+
+impl Rank for Difference {
+    fn features(&self, a: &Tensor, b: &Tensor) -> Result<Tensor, FoundationError> {
+        // Pixels that neither has count for nothing; one that only the drawing has counts fully.
+        let drawn = a.narrow(1, 5, 1)?.ne(0f32)?.to_dtype(DType::F32)?;
+        let d = (a - b)?.abs()?.clamp(0f32, 1f32)?.broadcast_mul(&drawn)?;
+        let total = (drawn.flatten_from(1)?.sum(1)? + 1.0)?;
+        Ok((d.flatten_from(1)?.sum(1)?.neg()? / total)?.unsqueeze(1)?)
+    }
+    fn compare(&self, features: &Tensor) -> Result<Tensor, FoundationError> {
+        Ok(features.flatten_all()?)
+    }
+}
+
+fn mug() -> Mesh {
+    primitives::mug(&MugSize::default(), 32, [40, 80, 190], [190, 60, 40])
+}
+
+/// A mug before a wall.
+fn scene(pose: &Pose) -> (RgbdFrame, Vec<bool>) {
+    let (mesh, wall) = (mug(), primitives::cuboid([3.0, 3.0, 0.1], [120, 120, 120]));
+    let mut out = Rendered::default();
+    let scene = [
+        Instance { mesh: &wall, pose: Pose::translation(0.0, 0.0, 1.3), id: 1 },
+        Instance { mesh: &mesh, pose: *pose, id: 2 },
+    ];
+    Renderer::new().render(&K, &scene, &Lighting::default(), &mut out);
+    let mask = out.ids.iter().map(|i| *i == 2).collect();
+    let frame = RgbdFrame { stamp: Stamp(0), color: out.color, depth: out.depth, intrinsics: K };
+    (frame, mask)
+}
+
+fn estimator(px: u32) -> PoseEstimator<Centroids, Difference> {
+    let config = PoseConfig { crop_px: px, ..PoseConfig::default() };
+    PoseEstimator::new(Centroids, Difference, Device::Cpu, config).unwrap()
+}
+
+#[test]
+fn a_mug_is_registered_and_followed() {
+    let truth = pose_from_xyz_rpy([0.08, -0.04, 0.7], [2.1, 0.2, 0.9]);
+    let (frame, mask) = scene(&truth);
+    let target = Target::new(&mug(), &Symmetry::None).unwrap();
+    let mut e = estimator(40);
+    let found = e.register(&frame, |u, v| mask[(v * 320 + u) as usize], &target).unwrap();
+    let (d, angle) = tdv_geometry::pose_distance(&found.pose, &truth);
+    let centre = found.pose * mug().center() - truth * mug().center();
+    assert!(centre.norm() < 0.01 && angle < 0.7, "{d:.4} m {:.1} deg", angle.to_degrees());
+    // From a pose beside the truth, right orientation: the stand-in only moves.
+    let beside = Pose::translation(0.012, -0.008, 0.01) * truth;
+    let before = e.agreement(&frame, &checked(&frame).unwrap(), &target, &target.centred(&beside));
+    let mut pose = beside;
+    let mut last = found;
+    for _ in 0..4 {
+        last = e.follow(&frame, &target, &pose).unwrap();
+        pose = last.pose;
+    }
+    let off = (pose.translation.vector - truth.translation.vector).norm();
+    assert!(off < 0.003, "{off}");
+    assert!(last.agreement > 0.85 && before < 0.5, "{} {before}", last.agreement);
+}
+
+#[test]
+fn a_step_moves_in_radii_and_turns_at_most_twenty_degrees() {
+    let pose = pose_from_xyz_rpy([0.1, 0.2, 0.8], [0.3, 0.2, 0.1]);
+    let p = improved(&pose, &Vector3::new(0.1, 0.0, -0.2), &Vector3::new(0.0, 0.0, 100.0), 0.05);
+    let moved = p.translation.vector - pose.translation.vector;
+    assert!((moved - Vector3::new(0.005, 0.0, -0.01)).norm() < 1e-12);
+    let turn = (p.rotation * pose.rotation.inverse()).scaled_axis();
+    assert!((turn - Vector3::new(0.0, 0.0, -TURN)).norm() < 1e-9, "{turn}");
+    let nan = improved(&pose, &Vector3::repeat(f64::NAN), &Vector3::zeros(), 0.05);
+    assert_eq!(nan, pose);
+}
+
+#[test]
+fn what_cannot_be_done_is_an_error() {
+    let truth = pose_from_xyz_rpy([0.0, 0.0, 0.7], [2.1, 0.2, 0.9]);
+    let (mut frame, mask) = scene(&truth);
+    let target = Target::new(&mug(), &Symmetry::None).unwrap();
+    let mut e = estimator(16);
+    let none = e.register(&frame, |_, _| false, &target).unwrap_err().to_string();
+    assert!(none.contains("mask"), "{none}");
+    let behind = e.follow(&frame, &target, &Pose::translation(0.0, 0.0, -1.0));
+    assert!(behind.is_err());
+    frame.depth.data.fill(0.0);
+    assert!(e.register(&frame, |u, v| mask[(v * 320 + u) as usize], &target).is_err());
+    let lost = e.follow(&frame, &target, &truth).unwrap();
+    assert_eq!(lost.agreement, 0.0);
+    assert!((lost.pose * Point3::origin()).z.is_finite());
+    frame.depth.data.pop();
+    assert!(e.follow(&frame, &target, &truth).is_err());
+    for bad in [
+        PoseConfig { crop_px: 20, ..PoseConfig::default() },
+        PoseConfig { batch: 0, ..PoseConfig::default() },
+        PoseConfig { score_crop: f64::NAN, ..PoseConfig::default() },
+    ] {
+        assert!(PoseEstimator::new(Centroids, Difference, Device::Cpu, bad).is_err());
+    }
+}
