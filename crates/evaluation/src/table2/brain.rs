@@ -5,13 +5,13 @@ use super::straight::StraightLine;
 use super::{Arm, Lesson, PolicyKind, Table2Error};
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use tdv_demonstration::Task;
+use tdv_demonstration::{self as demonstration, Hold, Task};
 use tdv_geometry::{Pose, Stamp, pose_distance};
 use tdv_policy::{
     HistoryConfig, Observation, Observer, OpenLoop, Planner, PlannerConfig, SwitchConfig,
     SwitchCore, SwitchGuard, SwitchPolicy,
 };
-use tdv_robot::motion::{Moving, Plan, ProcedureState};
+use tdv_robot::motion::{GripperEnd, Moving, Plan, ProcedureState};
 
 /// As in config/switch_policy.yaml and config/diffusion_policy.yaml.
 const GUARD: (f64, f64) = (0.015, 0.2);
@@ -46,6 +46,8 @@ pub(super) struct Brain {
     /// Each node has a history of its own.
     seen_by_mover: Observer,
     seen_by_decider: Observer,
+    /// What is held during each procedure.
+    holds: Vec<Hold>,
     last: usize,
     /// Time spent on plans, s, and how many there were.
     pub planning: (f64, u32),
@@ -109,6 +111,7 @@ impl Brain {
             decider,
             seen_by_mover: observer()?,
             seen_by_decider: observer()?,
+            holds: demonstration.holds(),
             last: 0,
             planning: (0.0, 0),
         })
@@ -131,13 +134,33 @@ impl Brain {
         self.state()
     }
 
-    /// Back to the first procedure, as after a failed grasp.
-    pub fn reset(&mut self) {
+    /// Back to the first procedure, or with `regrasp` to the one that grasps what is to be held.
+    pub fn reset(&mut self, regrasp: bool, now: Stamp) {
+        let again = self.lesson.demonstration.retry_from(self.state().0);
+        let first = if regrasp { again } else { 0 };
         match &mut self.decider {
-            Decider::Learned { core, .. } => core.reset(),
-            Decider::Arrival { streak, state, .. } => (*streak, *state) = (0, (0, false)),
+            Decider::Learned { core, .. } => core.start_at(first, now),
+            Decider::Arrival { streak, state, .. } => (*streak, *state) = (0, (first, false)),
         }
         self.seen_by_decider.reset();
+    }
+
+    /// What goes to the arm controller, as in the message of `switch_policy`.
+    fn word(&self, stamp: Stamp, procedure: usize, complete: bool) -> ProcedureState {
+        let tool = self.seen_by_mover.names(procedure).is_some_and(|n| n.1 == "tcp");
+        let end = self.lesson.demonstration.procedures.get(procedure).map(|p| p.end);
+        ProcedureState {
+            stamp,
+            procedure: procedure as u32,
+            complete,
+            grip: self.holds.get(procedure).is_some_and(|h| h.grip),
+            moving: if tool { Moving::Tcp } else { Moving::Object },
+            end: match end.unwrap_or_default() {
+                demonstration::GripperEnd::None => GripperEnd::None,
+                demonstration::GripperEnd::Close => GripperEnd::Close,
+                demonstration::GripperEnd::Open => GripperEnd::Open,
+            },
+        }
     }
 
     /// One frame of poses `T_base_link_frame`; `held` as the arm controller says.
@@ -157,11 +180,11 @@ impl Brain {
             self.seen_by_mover.reset();
         }
         self.last = procedure;
-        let state = ProcedureState { stamp, procedure: procedure as u32, complete };
+        let state = self.word(stamp, procedure, complete);
         Ok(Decision { state, plan: self.plan(stamp, pose_of, procedure)? })
     }
 
-    /// Procedures that move an object wait until it is held: before, nothing counts as their progress.
+    /// Until the gripper has closed or opened as the procedure wants it, nothing counts as its progress.
     fn decide(
         &mut self,
         stamp: Stamp,
@@ -169,7 +192,8 @@ impl Brain {
         held: bool,
     ) -> Result<(), Table2Error> {
         let (procedure, complete) = self.state();
-        if self.carried().is_some() && !held && !complete {
+        let grip = self.holds.get(procedure).is_some_and(|h| h.grip);
+        if grip != held && !complete {
             return Ok(());
         }
         let believed = |name: &str| match &self.mover {

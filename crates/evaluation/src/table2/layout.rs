@@ -67,7 +67,7 @@ fn yaws(scene: &Scene) -> [f64; 2] {
     let deg = match moving.map(|o| &o.start) {
         Some(Placement::Region(r)) => r.yaw_deg,
         Some(Placement::Spot(s)) => [s.yaw_deg - s.jitter_deg, s.yaw_deg + s.jitter_deg],
-        None => [0.0; 2],
+        Some(Placement::On(_)) | None => [0.0; 2],
     };
     deg.map(f64::to_radians)
 }
@@ -119,7 +119,15 @@ mod tests {
     fn cup() -> (Scene, Workspace) {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
         let scene = Scene::load(&root.join("config/scenes/cup_on_coaster.yaml")).unwrap();
-        (scene, Workspace { x: [0.25, 0.70], y: [-0.25, 0.25], exclude_radius: 0.11 })
+        (
+            scene,
+            Workspace {
+                x: [0.25, 0.70],
+                y: [-0.25, 0.25],
+                exclude_radius: 0.11,
+                polygon: Vec::new(),
+            },
+        )
     }
 
     #[test]

@@ -34,8 +34,8 @@ pub(super) struct Word {
     pub code: Option<StatusCode>,
     pub sentence: String,
     pub held: bool,
-    /// The switch policy is to go back to the first procedure.
-    pub reset: bool,
+    /// The switch policy is to go back to the first procedure, or (true) to the one that grasps.
+    pub reset: Option<bool>,
 }
 
 pub(super) struct Plant {
@@ -195,7 +195,7 @@ impl Plant {
             code: Some(out.status.code),
             sentence: out.status.sentence,
             held: out.status.object_held,
-            reset: self.word.reset || out.reset_switch,
+            reset: out.reset_switch.then_some(out.regrasp).or(self.word.reset),
         };
         if let Some(path) = &out.trajectory {
             self.trajectories.push_back((self.lab.time() + TRANSPORT, path.to_trajectory(true)));

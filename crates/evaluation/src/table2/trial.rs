@@ -158,8 +158,8 @@ impl Run<'_> {
                 Err(e) => return Err(e.into()),
             }
         }
-        if std::mem::take(&mut self.plant.word.reset) {
-            self.brain.reset();
+        if let Some(regrasp) = self.plant.word.reset.take() {
+            self.brain.reset(regrasp, self.plant.now());
         }
         let held = self.plant.word.held;
         if let Some(name) = self.brain.carried() {

@@ -2,12 +2,13 @@
 //! (SE(3) arc) a procedure has come, and a threshold on that ends it.
 
 use super::SwitchTrainConfig;
-use super::policy::{SwitchBuffers, SwitchLayout, SwitchPolicy};
+use super::policy::{SwitchBuffers, SwitchLayout, SwitchPolicy, Texts};
 use crate::kernels::{AdamW, adamw};
 use crate::network::initial;
 use crate::normaliser::POSE_DIM;
 use crate::rng::{Stream, stream};
 use crate::samples::write_history;
+use crate::tasks::LearnedTask;
 use crate::{PolicyConfig, PolicyError, TrainConfig, TrainingSet};
 use rand::Rng;
 use tdv_geometry::{Pose, twist_arc};
@@ -34,8 +35,8 @@ pub fn train_progress(
     let normalisers = set.normalisers()?;
     let shares: Vec<Vec<Vec<f64>>> =
         set.procedures.iter().map(|p| p.trajectories.iter().map(|t| shares(t)).collect()).collect();
-    let text = set.text_embedding.as_deref();
-    let layout = SwitchLayout::new(policy.history, text.map_or(0, <[f32]>::len), normalisers.len());
+    let text = set.text_embedding.as_deref().unwrap_or_default();
+    let layout = SwitchLayout::new(policy.history, text.len(), normalisers.len());
     let mut rng = stream(t.seed, Stream::Switch);
     let mut theta = initial(&layout.parameters, layout.len, rng.clone());
     let (mut m, mut v) = (vec![0.0; layout.len], vec![0.0; layout.len]);
@@ -43,6 +44,7 @@ pub fn train_progress(
     let mut buffers = SwitchBuffers::new(&layout, t.batch);
     let width = policy.history * POSE_DIM;
     let mut histories = vec![0.0; t.batch * width];
+    let tasks = vec![0; t.batch];
     let (mut ids, mut labels) = (vec![0; t.batch], vec![0.0f64; t.batch]);
     let noise = TrainConfig { drift_position: 0.0, drift_rotation: 0.0, ..noise.clone() };
     for step in 1..=t.steps {
@@ -58,7 +60,7 @@ pub fn train_progress(
             let at = position as f64;
             write_history(&trajectories[j], &normalisers[s], at, jitter, &noise, &mut rng, out);
         }
-        buffers.forward(&layout, &theta, &histories, &ids, text);
+        buffers.forward(&layout, &theta, &histories, &ids, Texts { table: text, task: &tasks });
         let mut loss = 0.0f64;
         for (z, y) in buffers.logits.iter_mut().zip(&labels) {
             let x = f64::from(*z);
@@ -82,20 +84,7 @@ pub fn train_progress(
         };
         adamw(a, &mut theta, &grads, &mut m, &mut v);
     }
-    Ok(SwitchPolicy {
-        buffers: SwitchBuffers::new(&layout, 1),
-        encoded: vec![0.0; width],
-        weights: theta,
-        normalisers,
-        task: set.task.clone(),
-        procedures: set.procedures.iter().map(|p| p.name.clone()).collect(),
-        end_poses: set.end_poses(),
-        text_embedding: set.text_embedding.clone(),
-        dt: set.dt,
-        dataset_hash: set.dataset_hash.clone(),
-        metrics: Default::default(),
-        layout,
-    })
+    SwitchPolicy::of(layout, theta, &[LearnedTask::of(set)?], set.dt, Default::default())
 }
 
 /// Share of the way at every pose; 1 where nothing moves.

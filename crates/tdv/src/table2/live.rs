@@ -91,6 +91,7 @@ fn arguments(args: &Table2Args, job: &Job) -> ClosedLoopArgs {
         kill: None,
         kill_carrying: false,
         launch_file: args.launch_file.clone(),
+        controller: None,
         run: args.out.join("live"),
         pictures: false,
         bag: false,
