@@ -38,7 +38,7 @@ pub struct Goal<A: RosAction> {
     /// What the client wants.
     pub goal: A::Goal,
     id: GoalId,
-    cancel: watch::Receiver<bool>,
+    cancel: watch::Receiver<Wish>,
     to_server: mpsc::UnboundedSender<Event<A>>,
 }
 
@@ -51,15 +51,30 @@ impl<A: RosAction> Goal<A> {
 
     /// True once the client cancelled or a newer goal took over: stop and return.
     pub fn is_canceled(&self) -> bool {
-        *self.cancel.borrow()
+        *self.cancel.borrow() != Wish::Go
+    }
+
+    /// True when it is a newer goal that ended this one, not the client.
+    pub fn is_replaced(&self) -> bool {
+        *self.cancel.borrow() == Wish::GiveWay
     }
 
     /// Waits until [`Goal::is_canceled`].
     pub async fn canceled(&mut self) {
-        if self.cancel.wait_for(|c| *c).await.is_err() {
+        if self.cancel.wait_for(|w| *w != Wish::Go).await.is_err() {
             std::future::pending::<()>().await;
         }
     }
+}
+
+/// What becomes of a goal that is carried out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Wish {
+    Go,
+    /// A newer goal has taken over.
+    GiveWay,
+    /// The client takes it back.
+    Cancel,
 }
 
 enum Event<A: RosAction> {
@@ -74,7 +89,7 @@ enum Event<A: RosAction> {
 struct Record<R> {
     status: GoalStatusEnum,
     accepted: Time,
-    cancel: watch::Sender<bool>,
+    cancel: watch::Sender<Wish>,
     canceled_by_client: bool,
     result: Option<R>,
     waiting: Vec<RmwRequestId>,
@@ -165,7 +180,7 @@ fn look<T>(
     }
 }
 
-type NewGoal<A> = (GoalId, <A as RosAction>::Goal, watch::Receiver<bool>);
+type NewGoal<A> = (GoalId, <A as RosAction>::Goal, watch::Receiver<Wish>);
 
 impl<A: RosAction> Server<A> {
     fn poll(
@@ -245,10 +260,10 @@ impl<A: RosAction> Server<A> {
         }
         let mut out = None;
         if accepted {
-            for record in self.goals.values().filter(|r| r.is_active()) {
-                record.cancel.send_replace(true);
+            for record in self.goals.values().filter(|r| r.is_active() && !r.canceled_by_client) {
+                record.cancel.send_replace(Wish::GiveWay);
             }
-            let (cancel, canceled) = watch::channel(false);
+            let (cancel, canceled) = watch::channel(Wish::Go);
             self.accepted += 1;
             self.goals.insert(
                 goal.goal_id,
@@ -291,7 +306,7 @@ impl<A: RosAction> Server<A> {
             if (everything || named || older) && record.is_active() {
                 record.status = GoalStatusEnum::Canceling;
                 record.canceled_by_client = true;
-                record.cancel.send_replace(true);
+                record.cancel.send_replace(Wish::Cancel);
                 goals_canceling.push(GoalInfo { goal_id: *goal_id, stamp: record.accepted });
             }
         }

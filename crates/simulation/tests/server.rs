@@ -5,7 +5,7 @@ use std::net::{Ipv4Addr, TcpStream};
 use std::path::Path;
 use std::time::Duration;
 use tdv_simulation::controller::RuntimeState;
-use tdv_simulation::ur_server::{ServerConfig, UrServer};
+use tdv_simulation::ur_server::{Link, ServerConfig, UrServer};
 use tdv_simulation::{Lab, Scene};
 use tdv_ur_protocol::rtde::{ClientPackage, FrameReader, Recipe, ServerPackage, Value};
 use tdv_ur_protocol::servo;
@@ -147,6 +147,11 @@ fn handshake_stream_servo_and_watchdog() {
     bench.until("the watchdog", |b| {
         b.lab.controller().outputs().ints[24] == servo::ProgramState::WatchdogStop as i32
     });
+    // What was measured: a command for each package while it moved, then 100 ms of nothing.
+    let measured = bench.server.command_figures().unwrap();
+    assert!(measured.intervals >= 40 && measured.ticks >= 50, "{measured:?}");
+    assert!((10..=14).contains(&measured.missed_run), "{measured:?}");
+    assert!(measured.missed >= measured.missed_run && measured.p50_ms > 0.0, "{measured:?}");
     // A second client may not take the registers; when the first one goes, it may.
     let mut second = Rtde::connect(&bench);
     let ServerPackage::SetupInputs { types, .. } = second.ask(&mut bench, &setup) else { panic!() };
@@ -208,6 +213,38 @@ fn gripper_activates_closes_and_says_so() {
     assert_eq!(line(&mut bench, &mut g, "GET OBJ\n"), "OBJ 3");
     assert_eq!(line(&mut bench, &mut g, "GET POS\n"), "POS 230");
     assert!(bench.lab.world().gap() < 0.001);
+}
+
+/// Whether the server has closed the connection.
+fn closed(stream: &mut TcpStream) -> bool {
+    match stream.read(&mut [0; 256]) {
+        Ok(n) => n == 0,
+        Err(e) => e.kind() != std::io::ErrorKind::WouldBlock,
+    }
+}
+
+#[test]
+fn a_cut_link_is_closed_and_comes_again() {
+    let mut bench = Bench::new();
+    let connect = |bench: &Bench| {
+        let g = TcpStream::connect(bench.server.addresses()[1]).unwrap();
+        g.set_nonblocking(true).unwrap();
+        g
+    };
+    let mut g = connect(&bench);
+    assert_eq!(line(&mut bench, &mut g, "GET STA\n"), "STA 0");
+    let mut robot = Rtde::connect(&bench);
+    bench.server.cutter().cut(Link::Gripper, true);
+    g.write_all(b"GET STA\n").unwrap();
+    bench.until("the end of the connection", |_| closed(&mut g));
+    let mut again = connect(&bench);
+    bench.until("the end of a new one", |_| closed(&mut again));
+    // The other link is as it was.
+    let version = robot.ask(&mut bench, &ClientPackage::ProtocolVersion(2));
+    assert_eq!(version, ServerPackage::ProtocolVersion(true));
+    bench.server.cutter().cut(Link::Gripper, false);
+    let mut g = connect(&bench);
+    assert_eq!(line(&mut bench, &mut g, "GET STA\n"), "STA 0");
 }
 
 #[test]

@@ -103,6 +103,11 @@ async fn carry_out(
             }
             () = goal.canceled() => {
                 shared.cancel(id);
+                if goal.is_replaced() {
+                    // The code that the official controller gives.
+                    let why = "replaced by a newer goal".into();
+                    return end(GoalEnd::Aborted, GoalCode::InvalidGoal as i32, why);
+                }
                 return end(GoalEnd::Canceled, 0, "canceled: the arm comes to rest".into());
             }
             _ = tick.tick() => {
