@@ -123,7 +123,7 @@ impl Log {
         let progress = kept
             .lines()
             .map(serde_json::from_str)
-            .collect::<Result<_, _>>()
+            .collect::<Result<Vec<TrainProgress>, serde_json::Error>>()
             .with_context(|| path.display().to_string())?;
         let lines = OpenOptions::new().append(true).open(&path)?;
         if !resume {
