@@ -3,7 +3,8 @@
 
     policy_torch.py golden              writes tests/golden/policy/network.safetensors: output and
                                         gradients of every tensor for weights given by a formula
-    policy_torch.py compare [EXAMPLE]   runs the Rust example policy_speed (EXAMPLE is its program,
+    policy_torch.py compare [EXAMPLE [TURNS]]
+                                        runs the Rust example policy_speed (EXAMPLE is its program,
                                         by default it is built and run by cargo), loads the checkpoint
                                         that it writes, compares outputs, and prints the times of a
                                         training step and of a ten-step plan of both
@@ -212,7 +213,7 @@ def plan(net, steps=10):
     return run
 
 
-def compare(example):
+def compare(example, turns):
     torch.set_num_threads(1)
     build = ["cargo", "run", "--quiet", "-p", "tdv-policy", "--example", "policy_speed", "--"]
     command = [example] if example else build
@@ -221,7 +222,7 @@ def compare(example):
         with tempfile.TemporaryDirectory() as folder:
             ours = {}
             theirs = {"step_ms": math.inf, "plan_ms": math.inf}
-            for turn in range(4):
+            for turn in range(turns):
                 run = subprocess.run(
                     [*command, folder, preset, str(batch)], cwd=ROOT, check=True, text=True,
                     stdout=subprocess.PIPE, env=dict(os.environ, RAYON_NUM_THREADS="1"))
@@ -256,6 +257,6 @@ if __name__ == "__main__":
     if sys.argv[1:2] == ["golden"]:
         golden()
     elif sys.argv[1:2] == ["compare"]:
-        sys.exit(0 if compare(sys.argv[2] if len(sys.argv) > 2 else None) else 1)
+        sys.exit(0 if compare(sys.argv[2] if len(sys.argv) > 2 else None, int(sys.argv[3]) if len(sys.argv) > 3 else 4) else 1)
     else:
         sys.exit(__doc__)

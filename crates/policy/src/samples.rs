@@ -345,8 +345,8 @@ fn fill_gaps(poses: &mut [Pose], there: &[bool]) {
             continue;
         }
         let (a, b) = (poses[before], poses[i]);
-        for j in before + 1..i {
-            poses[j] = interpolate(&a, &b, (j - before) as f64 / (i - before) as f64);
+        for (j, pose) in poses.iter_mut().enumerate().take(i).skip(before + 1) {
+            *pose = interpolate(&a, &b, (j - before) as f64 / (i - before) as f64);
         }
         before = i;
     }

@@ -88,9 +88,9 @@ pub struct TrainingArgs {
     /// Training steps at most
     #[arg(long, default_value_t = 600)]
     pub steps: usize,
-    /// Train all steps, also when rollouts on unseen starts are good before
+    /// Keep a tenth of the trajectories aside, and stop when rollouts from their starts are good twice
     #[arg(long)]
-    pub all_steps: bool,
+    pub early_stop: bool,
     /// Go on from the state that a training in the same folder left
     #[arg(long)]
     pub resume: bool,

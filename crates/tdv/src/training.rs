@@ -14,7 +14,7 @@ use tdv_policy::{
     TrainedPolicy, Training, TrainingSet, train_switch_tasks,
 };
 
-/// Rollouts on kept starts every so many steps.
+/// With early stopping: rollouts on kept starts every so many steps.
 const EVALUATE_EVERY: usize = 100;
 
 /// What was learned, and how it went.
@@ -70,8 +70,8 @@ pub fn learn(
         noise_position: noise.0.max(0.001),
         noise_rotation: noise.1.max(0.005),
         threads: 2,
-        evaluate_every: EVALUATE_EVERY,
-        early_stop: !args.all_steps,
+        evaluate_every: if args.early_stop { EVALUATE_EVERY } else { 0 },
+        early_stop: args.early_stop,
         ..Default::default()
     };
     std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
@@ -123,7 +123,7 @@ impl Log {
         let progress = kept
             .lines()
             .map(serde_json::from_str)
-            .collect::<Result<_, _>>()
+            .collect::<Result<Vec<TrainProgress>, serde_json::Error>>()
             .with_context(|| path.display().to_string())?;
         let lines = OpenOptions::new().append(true).open(&path)?;
         if !resume {

@@ -14,6 +14,11 @@ use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use tdv_geometry::{Pose, Stamp, pose_distance};
 
+/// Part of the samples that show another task's trajectory, when there are several.
+const FOREIGN: f64 = 0.2;
+/// A pose of another task that is farther than this (m) from a procedure's end does not end it.
+const APART: f64 = 0.05;
+
 /// How the classifier is trained.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -160,19 +165,30 @@ pub fn train_switch_tasks(
     let noise = TrainConfig { drift_position: 0.0, drift_rotation: 0.0, ..noise.clone() };
     for step in 1..=t.steps {
         for i in 0..t.batch {
-            let k = if sets.len() > 1 { rng.random_range(0..sets.len()) } else { 0 };
-            let s = rng.random_range(0..sets[k].procedures.len());
-            let trajectories = &sets[k].procedures[s].trajectories;
-            let j = loop {
+            let (k, s, from, r, j, position) = loop {
+                let k = if sets.len() > 1 { rng.random_range(0..sets.len()) } else { 0 };
+                let s = rng.random_range(0..sets[k].procedures.len());
+                // Some windows come from another task: what ends that one is no end of this one.
+                let foreign = sets.len() > 1 && rng.random_bool(FOREIGN);
+                let from =
+                    if foreign { (k + rng.random_range(1..sets.len())) % sets.len() } else { k };
+                let r = s.min(sets[from].procedures.len() - 1);
+                let trajectories = &sets[from].procedures[r].trajectories;
                 let j = rng.random_range(0..trajectories.len());
-                if j % t.hold_out != 0 {
-                    break j;
+                if j % t.hold_out == 0 {
+                    continue;
+                }
+                let position = rng.random_range(0..trajectories[j].len() + t.hold_samples);
+                let end = &tasks[k].end_poses[s];
+                let here = pose_at(&trajectories[j], position as f64);
+                // Both tasks may end in the same place.
+                if !foreign || pose_distance(&here, end).0 > APART {
+                    break (k, s, from, r, j, position);
                 }
             };
-            let poses = &trajectories[j];
-            let position = rng.random_range(0..poses.len() + t.hold_samples);
+            let poses = &sets[from].procedures[r].trajectories[j];
             (task[i], ids[i]) = (k, s);
-            done[i] = position + t.window > ends[k][s][j];
+            done[i] = from == k && position + t.window > ends[k][s][j];
             let jitter = if noise.time_jitter > 0.0 {
                 1.0 + rng.random_range(-noise.time_jitter..noise.time_jitter)
             } else {
