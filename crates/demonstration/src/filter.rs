@@ -39,9 +39,9 @@ const ANGLE_FLOOR: f64 = 0.06;
 
 /// A window is widened by at most this where samples are few, beside a gap or at the ends: more noise is
 /// averaged out, but a curve is cut.
-const WIDEST: f64 = 1.5;
+const WIDEST: f64 = 1.6;
 /// Part of the usual weight in a window below which it is widened.
-const FULL: f64 = 0.9;
+const FULL: f64 = 0.95;
 
 /// Sum of the weights in the window of width `sigma` round `time`.
 fn mass(times: &[f64], weights: &[f64], time: f64, sigma: f64) -> f64 {
