@@ -7,7 +7,8 @@ use tdv_msgs::trajectory_msgs::msg::{JointTrajectory, JointTrajectoryPoint};
 use tdv_robot::JOINT_NAMES;
 use tdv_robot::gripper::KNUCKLE_JOINT;
 use tdv_robot::motion::{
-    Attach, GripperEnd, JointPath, JointState, Moving, ObjectPlace, ObjectReport, Plan, ProcedureState,
+    Attach, GripperEnd, JointPath, JointState, Moving, ObjectPlace, ObjectReport, Plan,
+    ProcedureState,
 };
 use tdv_runtime::tracked;
 

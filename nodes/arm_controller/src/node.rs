@@ -260,8 +260,11 @@ impl Loop {
             self.command_gripper(now, request);
         }
         if output.reset_switch {
-            let client =
-                if output.regrasp { self.switch_regrasp.clone() } else { self.switch_reset.clone() };
+            let client = if output.regrasp {
+                self.switch_regrasp.clone()
+            } else {
+                self.switch_reset.clone()
+            };
             self.runtime.spawn(async move {
                 if let Err(e) = client.call(TriggerRequest::default(), Duration::from_secs(2)).await
                 {

@@ -137,14 +137,7 @@ fn noise_gaps_and_doubtful_frames() {
         for w in p.windows(3) {
             let jerk =
                 w[2].translation.vector - w[1].translation.vector * 2.0 + w[0].translation.vector;
-            let here: Vec<_> = w.iter().map(|p| p.translation.vector.transpose()).collect();
-            assert!(
-                jerk.norm() < 0.010,
-                "seed {seed}: {} m at {here:.3?} of {}, {:?}",
-                jerk.norm(),
-                p.len(),
-                r.repairs
-            );
+            assert!(jerk.norm() < 0.010, "seed {seed}: {} m", jerk.norm());
         }
         for mode in [GenerationMode::Repaired, GenerationMode::Paper] {
             let mut task = task();

@@ -154,8 +154,7 @@ impl Rig {
         }
         if !self.has(FaultKind::SwitchSilent) {
             let (procedure, complete) = (self.procedure, self.complete);
-            self.input.procedure =
-                Some(ProcedureState::pick_and_place(stamp, procedure, complete));
+            self.input.procedure = Some(ProcedureState::pick_and_place(stamp, procedure, complete));
         }
     }
 
