@@ -464,4 +464,6 @@ fn limits(config: &GenerationConfig, tail: f64) -> Limits {
 }
 
 #[cfg(test)]
+mod start_tests;
+#[cfg(test)]
 mod tests;

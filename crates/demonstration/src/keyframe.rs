@@ -129,7 +129,12 @@ pub fn detect(
     }
     let end_window = n - window..n;
     let end = median_point(object[end_window].iter().flatten().copied()).unwrap_or(path[n - 1]);
-    let settled = (onset..n).rev().find(|i| (path[*i] - end).norm() > threshold);
+    // Medians of what was seen: at the very end, where little is to be smoothed with, the path is no guide.
+    let around = |i: usize| {
+        let seen = object[i.saturating_sub(3)..(i + 4).min(n)].iter().flatten().copied();
+        median_point(seen).unwrap_or(path[i])
+    };
+    let settled = (onset..n).rev().find(|i| (around(*i) - end).norm() > threshold);
     let settled = settled.map_or(onset + 1, |i| i + 1).min(n - 1);
 
     // How far the fingertips are from the object while it is carried.

@@ -70,6 +70,17 @@ fn after_a_drop_the_procedure_comes_again_that_grasps_the_object() {
     b.run(0.8);
     assert_eq!(b.last_code(), S::Recovering, "{}", b.last_sentence());
     b.object = Some(0.064);
+    for _ in 0..100 {
+        if !b.went_back.is_empty() {
+            break;
+        }
+        b.run(0.1);
+    }
+    // The bench's policy knows one path: here it is the one from where the arm is now.
+    let here = b.references[2].inverse() * b.k.fk_tcp(&b.q);
+    let grasp = *b.policies[2].path.last().unwrap();
+    b.policies[2] = policy(path(here, grasp, 0.05));
+    b.policies[3].phase = 0.0;
     b.run(60.0);
     assert_eq!(b.last_code(), S::Done, "{:?} {}", b.log.codes, b.last_sentence());
     assert!(!b.went_back.is_empty() && b.went_back.iter().all(|p| *p == 2), "{:?}", b.went_back);
@@ -110,11 +121,7 @@ fn the_hands_own_path_needs_no_object_in_the_gripper() {
     b.policies[1] = policy(path(handle, pulled, 0.0));
     b.steps[1].moving = Moving::Tcp;
     b.place = tdv_robot::motion::ObjectPlace::Unknown;
-    let mut seconds = 0.0;
-    while b.last_seen() != Some(S::Done) && seconds < 40.0 {
-        b.run(0.2);
-        seconds += 0.2;
-    }
+    b.run(40.0);
     assert_eq!(b.last_code(), S::Done, "{:?} {}", b.log.codes, b.last_sentence());
     in_order(&b, &[S::Following, S::Grasping, S::Following, S::Releasing, S::Retreating, S::Done]);
     assert!(b.log.ends[1].0 < 0.002 && b.gap() > 0.08, "{:?}", b.log.ends);

@@ -94,7 +94,7 @@ pub async fn decide(node: Node, mut params: Params<SwitchParameters>) -> anyhow:
                 // After a restart in mid-task the controller, which still holds the object, knows more.
                 if !adopted {
                     adopted = true;
-                    decision.adopt(if held { message.procedure as usize } else { 0 });
+                    decision.adopt(&message);
                 }
             }
             p = params.changed() => decision.core.configure(settings(&p, &decision.policy))?,
@@ -107,7 +107,14 @@ pub async fn decide(node: Node, mut params: Params<SwitchParameters>) -> anyhow:
 }
 
 impl Decision {
-    fn adopt(&mut self, procedure: usize) {
+    fn adopt(&mut self, status: &ControllerStatus) {
+        let there = status.procedure as usize;
+        let procedure = match (status.object_held, status.done) {
+            (true, _) => there,
+            (false, true) => 0,
+            // What was grasped before is at its place already.
+            (false, false) => self.demonstration.retry_from(there),
+        };
         if procedure > self.core.procedure() {
             tracing::info!("started in mid-task: procedure {procedure} is on");
             self.core.start_at(procedure, self.node.now());

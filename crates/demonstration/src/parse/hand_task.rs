@@ -1,7 +1,8 @@
 //! The gripper's own path: procedures that move the tcp.
 
+use super::carry::pin_ends;
 use super::{ParseConfig, ParseReport, RepairKind, events, grasp, timed};
-use crate::filter::smooth;
+use crate::filter::{robust_mean, smooth};
 use crate::{DemonstrationError, ProcedureDemo, ProcedureSpec, Remapped, gripper_symmetry};
 use tdv_geometry::{Pose, Symmetry};
 
@@ -37,7 +38,7 @@ pub(super) fn hand_path(
         let text = "frames without a hand bridged";
         report.note(RepairKind::GapFilled, "hand", missing, 0.0, "", text);
     }
-    let path = smooth(&samples, &span, &config.filter);
+    let mut path = smooth(&samples, &span, &config.filter);
     let n = path.len();
     if let Some(bounds) = given {
         let clip = |b: &[usize; 2]| b.map(|i| i.clamp(offset, offset + n - 1));
@@ -56,6 +57,12 @@ pub(super) fn hand_path(
             moved: (path[n - 1].translation.vector - path[0].translation.vector).norm(),
             need: 0.01,
         });
+    }
+    // What is cut off still says where the path begins and ends.
+    let (begin, end) = (robust_mean(&path[..=a]), robust_mean(&path[b..]));
+    if let (Some(begin), Some(end)) = (begin, end) {
+        let pinned = pin_ends(&path[a..=b], &begin.0, &end.0);
+        path[a..=b].copy_from_slice(&pinned);
     }
     if a + (n - 1 - b) > 0 {
         report.note(

@@ -87,13 +87,14 @@ pub(super) fn keyframes(
 }
 
 /// The events as a person has set them.
-fn given_keyframes(bounds: &[[usize; 2]], frames: usize) -> Keyframes {
+fn given_keyframes(bounds: &[[usize; 2]], frames: usize, lands: bool) -> Keyframes {
     let settled = bounds.last().map_or(frames - 1, |b| b[1]);
     Keyframes {
         contact: bounds[0][1],
         onset: bounds.get(1).map_or(bounds[0][1], |b| b[0]),
         settled,
-        release: (settled + 1 < frames).then_some(settled + 1),
+        // What was set down rests until the next procedure.
+        release: (!lands).then_some(settled),
         jitter: 0.0,
         hold_distance: 0.0,
         evidence: 1.0,
@@ -125,7 +126,7 @@ pub(super) fn object_task(
     let seen = seen(frames, name, shape, config, report)?;
     input::bridge(&seen, times, name, config, report)?;
     let mut keys = match &window.given {
-        Some(bounds) => given_keyframes(bounds, frames.len()),
+        Some(bounds) => given_keyframes(bounds, frames.len(), lands),
         None => keyframes(name, &seen, times, tools, config)?,
     };
     let samples: Vec<Sample> = seen
@@ -150,7 +151,9 @@ pub(super) fn object_task(
     };
     let last = keys.release.unwrap_or(frames.len() - 1).max(keys.settled);
     let start = robust_mean(&within(0..=keys.onset)).map_or(smoothed[keys.onset], |m| m.0);
-    let end = robust_mean(&within(keys.settled..=last)).map_or(smoothed[keys.settled], |m| m.0);
+    let rests = lands || window.given.is_none();
+    let end = robust_mean(&within(keys.settled..=last)).filter(|_| rests);
+    let end = end.map_or(smoothed[keys.settled], |m| m.0);
     let carry = carry::Carry {
         name,
         shape,
@@ -170,7 +173,7 @@ pub(super) fn object_task(
     let fit = reach_spec.grasp.as_ref().unwrap_or(&task.grasp);
     let (grasp, width) = grasp::grasp(&seen, &smoothed, tools, times, &keys, &ends.0, fit, report)?;
     let reach = grasp::reach(tools, times, &keys, &ends.0, &grasp, config, report)?;
-    if lands && keys.release.is_none() {
+    if lands && keys.release.is_none() && window.given.is_none() {
         report.note(
             RepairKind::ReleaseAdded,
             name,

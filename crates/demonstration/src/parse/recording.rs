@@ -151,11 +151,12 @@ impl Recording<'_> {
         let mut begin = 0;
         for (b, block) in blocks.iter().enumerate() {
             let specs = &self.specs[block.specs.clone()];
+            let after = given.and_then(|g| g.get(block.specs.end)).map_or(n, |b| b[0].max(1));
             let given = given.map(|g| &g[block.specs.clone()]);
             let next = rough.get(b + 1).copied().flatten();
             // Up to where the next object begins to move; a hand's path up to where it is touched.
             let end = match (given, next, &block.object) {
-                (Some(g), ..) => (g[g.len() - 1][1] + 1).min(n),
+                (Some(g), ..) => after.max(g[g.len() - 1][1] + 1),
                 (None, Some(k), Some(_)) => k.onset + 1,
                 (None, Some(k), None) => k.contact + 1,
                 (None, None, _) => n,

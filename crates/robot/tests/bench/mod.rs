@@ -413,10 +413,6 @@ impl Bench {
         *self.log.codes.last().unwrap()
     }
 
-    pub fn last_seen(&self) -> Option<StatusCode> {
-        self.log.codes.last().copied()
-    }
-
     pub fn last_sentence(&self) -> &str {
         self.log.sentences.last().unwrap()
     }
