@@ -51,6 +51,8 @@ pub(super) struct Brain {
     last: usize,
     /// Time spent on plans, s, and how many there were.
     pub planning: (f64, u32),
+    /// Why there was no plan, if ever.
+    pub note: String,
 }
 
 /// What goes to the arm controller after a frame.
@@ -114,6 +116,7 @@ impl Brain {
             holds: demonstration.holds(),
             last: 0,
             planning: (0.0, 0),
+            note: String::new(),
         })
     }
 
@@ -259,8 +262,12 @@ impl Brain {
                 Ok((planner.plan(seen.procedure, &seen.history, SAMPLER)?, planner.dt()))
             }
             Mover::OpenLoop(play) => {
-                // A start that the demonstration cannot be bent to gives no plan: the arm stays.
-                Ok((play.plan(seen).unwrap_or_default(), self.lesson.dt))
+                let poses = play.plan(seen).unwrap_or_else(|e| {
+                    // A start that the demonstration cannot be bent to: the arm stays.
+                    self.note = e.to_string();
+                    Vec::new()
+                });
+                Ok((poses, self.lesson.dt))
             }
             Mover::Straight(line) => Ok((line.plan(seen)?, self.lesson.dt)),
         }

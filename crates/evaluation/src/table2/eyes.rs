@@ -14,6 +14,8 @@ pub(super) const RATE: f64 = 30.0;
 /// move it: those of the pose tracker.
 const FRAMES: u32 = 8;
 const LATER: f64 = 0.03;
+/// ... unless they are farther from it than this, m.
+const OUTLIER: f64 = 0.015;
 /// Farther from where it is carried (m), for so many frames, the object has slipped out.
 const SLIP: (f64, u32) = (0.05, 10);
 
@@ -89,13 +91,18 @@ impl<'a> Eyes<'a> {
     fn carry(&mut self, tcp: &Pose, seen: &Pose) -> Pose {
         let now = tcp.inverse() * seen;
         let (mean, count) = self.attach.unwrap_or((now, 0));
-        let away = pose_distance(&mean, &now).0 > SLIP.0;
+        let distance = pose_distance(&mean, &now).0;
+        let away = distance > SLIP.0;
         self.off = if away { self.off + 1 } else { 0 };
         if self.off >= SLIP.1 {
             return *seen;
         }
-        let share = if count < FRAMES { 1.0 / f64::from(count + 1) } else { LATER };
-        let mean = if away { mean } else { interpolate(&mean, &now, share) };
+        let share = match count {
+            0..FRAMES if !away => 1.0 / f64::from(count + 1),
+            FRAMES.. if distance < OUTLIER => LATER,
+            _ => 0.0,
+        };
+        let mean = interpolate(&mean, &now, share);
         self.attach = Some((mean, count + 1));
         tcp * mean
     }

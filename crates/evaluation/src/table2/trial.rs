@@ -233,7 +233,10 @@ impl Run<'_> {
             start,
             success: v.success,
             reason: v.reason.clone(),
-            sentence: self.plant.word.sentence.clone(),
+            sentence: match self.brain.note.as_str() {
+                "" => self.plant.word.sentence.clone(),
+                note => format!("{}; {note}", self.plant.word.sentence),
+            },
             cause: (!v.success).then(|| self.cause()),
             error_mm: Some(1e3 * v.error_m).filter(|e| e.is_finite()),
             error_deg: Some(v.error_rad.to_degrees()).filter(|e| e.is_finite()),

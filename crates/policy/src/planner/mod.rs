@@ -224,3 +224,28 @@ impl Planner {
         Ok(poses.iter().map(|v| normaliser.decode(v)).collect())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{PolicyConfig, synthetic};
+
+    #[test]
+    fn the_encoder_cache_changes_no_bit_of_a_plan() {
+        let set = synthetic::reach_and_place_set(5, 1);
+        let config = PolicyConfig { dt: set.dt, ..PolicyConfig::small() };
+        let mut policy = TrainedPolicy::untrained(&set, &config, 1).unwrap();
+        // Fresh weights close every gate; these let the encoder through.
+        for (i, w) in policy.weights.iter_mut().enumerate() {
+            *w += 0.02 * ((i % 7) as f32 - 3.0);
+        }
+        let mut planner = Planner::new(&policy, PlannerConfig::default()).unwrap();
+        let poses = &set.procedures[0].trajectories[0];
+        let mut plan = |cached, at: usize| {
+            planner.set_encoder_cache(cached);
+            planner.plan(0, &poses[at..at + 8], 3).unwrap()
+        };
+        assert_eq!(plan(true, 0), plan(false, 0));
+        assert_ne!(plan(true, 0), plan(true, 9), "the history does not matter");
+    }
+}
