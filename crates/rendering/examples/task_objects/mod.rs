@@ -210,7 +210,7 @@ fn tumbler() -> Made {
             symmetry: Symmetry::Continuous { axis: [0.0, 0.0, 1.0] },
             palette: vec![TEAL, PALE],
             collision: parts,
-            ..file("tumbler", &["glass", "drinking glass", "bowl"], &["teal", "green"], 0.40, 0.7)
+            ..file("tumbler", &["glass", "drinking glass", "bowl"], &["green", "blue"], 0.40, 0.7)
         },
         mesh: lathe(&profile, 48, &colors),
     }
@@ -230,7 +230,7 @@ fn cabinet() -> Made {
         file: ObjectFile {
             palette: vec![OAK],
             collision: parts.clone(),
-            ..file("cabinet", &["chest", "chest of drawers"], &["brown", "wooden"], 2.0, 0.6)
+            ..file("cabinet", &["chest", "chest of drawers"], &["brown"], 2.0, 0.6)
         },
         mesh: look(&parts, OAK),
     }
@@ -321,7 +321,7 @@ fn plug() -> Made {
             symmetry: turns(2),
             palette: vec![VIOLET, STEEL],
             collision: [parts, vec![upright(0.003, [0.070, 0.080])]].concat(),
-            ..file("plug", &["connector", "power plug"], &["violet", "purple"], 0.08, 0.5)
+            ..file("plug", &["connector", "power plug"], &["purple"], 0.08, 0.5)
         },
         mesh,
     }
@@ -343,7 +343,13 @@ fn tissue_box() -> Made {
         file: ObjectFile {
             palette: vec![TEAL, YELLOW],
             collision: parts,
-            ..file("tissue_box", &["box of tissues", "tissue dispenser"], &["teal"], 0.5, 0.6)
+            ..file(
+                "tissue_box",
+                &["box of tissues", "tissue dispenser"],
+                &["green", "blue"],
+                0.5,
+                0.6,
+            )
         },
         mesh,
     }
