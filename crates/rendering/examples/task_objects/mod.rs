@@ -210,7 +210,7 @@ fn tumbler() -> Made {
             symmetry: Symmetry::Continuous { axis: [0.0, 0.0, 1.0] },
             palette: vec![TEAL, PALE],
             collision: parts,
-            ..file("tumbler", &["glass", "drinking glass", "bowl"], &["green", "blue"], 0.40, 0.7)
+            ..file("tumbler", &["glass", "drinking glass", "bowl"], &["turquoise", "green"], 0.40, 0.7)
         },
         mesh: lathe(&profile, 48, &colors),
     }
@@ -346,7 +346,7 @@ fn tissue_box() -> Made {
             ..file(
                 "tissue_box",
                 &["box of tissues", "tissue dispenser"],
-                &["green", "blue"],
+                &["turquoise", "green"],
                 0.5,
                 0.6,
             )
@@ -377,7 +377,7 @@ pub fn all() -> Vec<Made> {
             symmetry: Symmetry::Continuous { axis: [0.0, 0.0, 1.0] },
             palette: vec![ORANGE],
             collision: vec![upright(0.055, [0.0, 0.002])],
-            ..file("card", &["round card", "paper", "mat"], &["orange"], 0.03, 0.8)
+            ..file("card", &["round card", "paper"], &["orange"], 0.03, 0.8)
         },
         mesh: disc(0.055, 0.002, 64, ORANGE),
     };
