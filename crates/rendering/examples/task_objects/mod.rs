@@ -210,7 +210,13 @@ fn tumbler() -> Made {
             symmetry: Symmetry::Continuous { axis: [0.0, 0.0, 1.0] },
             palette: vec![TEAL, PALE],
             collision: parts,
-            ..file("tumbler", &["glass", "drinking glass", "bowl"], &["turquoise", "green"], 0.40, 0.7)
+            ..file(
+                "tumbler",
+                &["glass", "drinking glass", "bowl"],
+                &["turquoise", "green"],
+                0.40,
+                0.7,
+            )
         },
         mesh: lathe(&profile, 48, &colors),
     }
