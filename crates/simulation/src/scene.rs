@@ -151,7 +151,7 @@ impl Drops {
             ("cup_radius", self.cup_radius, 1.5 * self.radius),
             ("cup_floor", self.cup_floor, 0.0),
         ] {
-            if !(v >= low && v < 0.2) {
+            if !(low..0.2).contains(&v) {
                 return Err((field, format!("is {v}, {low} to 0.2 is possible")));
             }
         }
@@ -420,7 +420,9 @@ impl Scene {
                     return bad(field, reason);
                 }
                 let lengths = [tdv_geometry::nalgebra::Vector3::from(s.axis).norm(), s.travel];
-                if !lengths.iter().all(|v| *v > 1e-6 && *v < 5.0) || !(s.friction >= 0.0) {
+                if !lengths.iter().all(|v| *v > 1e-6 && *v < 5.0)
+                    || !(0.0..1e3).contains(&s.friction)
+                {
                     return bad(field, "slides along no axis, nowhere or without friction".into());
                 }
             }

@@ -105,8 +105,7 @@ fn the_ring_does_not_pass_through_the_wall() {
     // Straight for the peg, too low.
     s.go(down(0.45, -0.05, 0.08, 0.0));
     s.go(down(0.45, -0.25, 0.062, 0.0));
-    s.fingers(0);
-    let (v, s) = verdict(s, 1.5);
+    let (v, s) = verdict(s, 0.5);
     assert!(!v.success && s.lab.incidents().protective_stops > 0, "{v:?}");
 }
 
@@ -123,7 +122,7 @@ fn drops_in(s: &Script, name: &str, radius: f64, height: f64) -> usize {
 fn the_mug_is_carried_full_and_poured_out() {
     let mut s = start("pour_water", 1);
     s.wait(0.5);
-    assert_eq!(drops_in(&s, "mug", 0.030, 0.085), 120);
+    assert_eq!(drops_in(&s, "mug", 0.030, 0.085), 100);
     let (mug, tumbler) = (pose(&s, "mug"), pose(&s, "tumbler"));
     assert!(take(&mut s, &mug, [0.0, 0.0, 0.050], 0.0) && s.lab.held("mug").unwrap());
     let grip = pose(&s, "mug").inverse() * s.tcp;
@@ -133,14 +132,14 @@ fn the_mug_is_carried_full_and_poured_out() {
     assert!(s.go(upright * grip));
     let kept = drops_in(&s, "mug", 0.030, 0.085);
     println!("{kept} drops left after the carry");
-    assert!(kept >= 118 && !s.lab.trial().success, "{kept}");
+    assert!(kept >= 98 && !s.lab.trial().success, "{kept}");
     let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), -1.75);
     let rim = Vector3::new(t.x + 0.024, t.y, 0.200);
     let tilted = Pose::from_parts((rim - turn * Vector3::new(-0.032, 0.0, 0.090)).into(), turn);
     assert!(s.go(tilted * grip), "the arm cannot pour there");
-    let (v, s) = verdict(s, 3.0);
+    let (v, s) = verdict(s, 2.0);
     assert!(v.success, "{v:?}");
-    assert!(matches!(v.measured, Measured::Drops { inside, total: 120 } if inside >= 96), "{v:?}");
+    assert!(matches!(v.measured, Measured::Drops { inside, total: 100 } if inside >= 80), "{v:?}");
     assert!(s.lab.held("mug").unwrap(), "it need not be let go");
 }
 

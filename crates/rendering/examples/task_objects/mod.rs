@@ -210,7 +210,13 @@ fn tumbler() -> Made {
             symmetry: Symmetry::Continuous { axis: [0.0, 0.0, 1.0] },
             palette: vec![TEAL, PALE],
             collision: parts,
-            ..file("tumbler", &["glass", "drinking glass", "bowl"], &["teal", "green"], 0.40, 0.7)
+            ..file(
+                "tumbler",
+                &["glass", "drinking glass", "bowl"],
+                &["turquoise", "green"],
+                0.40,
+                0.7,
+            )
         },
         mesh: lathe(&profile, 48, &colors),
     }
@@ -230,7 +236,7 @@ fn cabinet() -> Made {
         file: ObjectFile {
             palette: vec![OAK],
             collision: parts.clone(),
-            ..file("cabinet", &["chest", "chest of drawers"], &["brown", "wooden"], 2.0, 0.6)
+            ..file("cabinet", &["chest", "chest of drawers"], &["brown"], 2.0, 0.6)
         },
         mesh: look(&parts, OAK),
     }
@@ -321,7 +327,7 @@ fn plug() -> Made {
             symmetry: turns(2),
             palette: vec![VIOLET, STEEL],
             collision: [parts, vec![upright(0.003, [0.070, 0.080])]].concat(),
-            ..file("plug", &["connector", "power plug"], &["violet", "purple"], 0.08, 0.5)
+            ..file("plug", &["connector", "power plug"], &["purple"], 0.08, 0.5)
         },
         mesh,
     }
@@ -343,7 +349,13 @@ fn tissue_box() -> Made {
         file: ObjectFile {
             palette: vec![TEAL, YELLOW],
             collision: parts,
-            ..file("tissue_box", &["box of tissues", "tissue dispenser"], &["teal"], 0.5, 0.6)
+            ..file(
+                "tissue_box",
+                &["box of tissues", "tissue dispenser"],
+                &["turquoise", "green"],
+                0.5,
+                0.6,
+            )
         },
         mesh,
     }
@@ -371,7 +383,7 @@ pub fn all() -> Vec<Made> {
             symmetry: Symmetry::Continuous { axis: [0.0, 0.0, 1.0] },
             palette: vec![ORANGE],
             collision: vec![upright(0.055, [0.0, 0.002])],
-            ..file("card", &["round card", "paper", "mat"], &["orange"], 0.03, 0.8)
+            ..file("card", &["round card", "paper"], &["orange"], 0.03, 0.8)
         },
         mesh: disc(0.055, 0.002, 64, ORANGE),
     };

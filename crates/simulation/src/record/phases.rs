@@ -76,7 +76,7 @@ impl Script {
             return Some("has no phase in which the hand closes".into());
         }
         let times_ok = |p: &Phase| {
-            p.seconds > 0.05 && p.seconds < 60.0 && p.overlap >= 0.0 && p.overlap < p.seconds
+            p.seconds > 0.05 && p.seconds < 60.0 && (0.0..p.seconds).contains(&p.overlap)
         };
         if let Some(k) = self.phases.iter().position(|p| !times_ok(p)) {
             return Some(format!(
