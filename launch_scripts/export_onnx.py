@@ -27,8 +27,33 @@ OPSET = 17
 
 
 def _export(module, inputs, path, names, outputs, dynamic):
-    torch.onnx.export(module, inputs, str(path), input_names=names, output_names=outputs,
+    # In evaluation mode itself, or the exporter would leave the model inside in training mode.
+    torch.onnx.export(module.eval(), inputs, str(path), input_names=names, output_names=outputs,
                       dynamic_axes=dynamic, opset_version=OPSET, dynamo=False)
+    _single_precision(path)
+
+
+def _single_precision(path):
+    """Sampling points come out of the tracer in double precision, which torch never used and
+    onnxruntime has no GridSample for."""
+    import onnx
+    from onnx import TensorProto, numpy_helper
+    model = onnx.load(str(path))
+
+    def single(tensor):
+        if tensor.data_type == TensorProto.DOUBLE:
+            tensor.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(tensor).astype("float32"), tensor.name))
+
+    for tensor in model.graph.initializer:
+        single(tensor)
+    for node in model.graph.node:
+        for attribute in node.attribute:
+            if attribute.type == onnx.AttributeProto.TENSOR:
+                single(attribute.t)
+            if node.op_type == "Cast" and attribute.name == "to" and attribute.i == TensorProto.DOUBLE:
+                attribute.i = TensorProto.FLOAT
+    del model.graph.value_info[:]
+    onnx.save(model, str(path))
 
 
 class Grounding(nn.Module):

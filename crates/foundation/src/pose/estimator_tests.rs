@@ -4,51 +4,60 @@ use super::*;
 use candle_core::{D, DType};
 use nalgebra::Point3;
 use tdv_geometry::{Stamp, Symmetry, pose_from_xyz_rpy};
-use tdv_rendering::mesh::primitives::{self, MugSize};
+use tdv_rendering::mesh::primitives;
 use tdv_rendering::{Instance, Intrinsics, Lighting, Mesh, Rendered, Renderer};
 
 const K: Intrinsics =
-    Intrinsics { width: 320, height: 240, fx: 305.0, fy: 305.0, cx: 159.5, cy: 119.5 };
+    Intrinsics { width: 640, height: 480, fx: 610.0, fy: 610.0, cx: 319.5, cy: 239.5 };
 
-/// Moves by the mean difference of the points that both crops have; turns nothing.
+/// Brings the middle of the drawn points onto that of the measured ones; turns nothing.
 struct Centroids;
 
 impl Refine for Centroids {
     fn refine(&self, a: &Tensor, b: &Tensor) -> Result<(Tensor, Tensor), FoundationError> {
-        let points = |t: &Tensor| t.narrow(1, 3, 3)?.flatten_from(2);
-        let (a, b) = (points(a)?, points(b)?);
-        let both = (a.narrow(1, 2, 1)?.ne(0f32)?.mul(&b.narrow(1, 2, 1)?.ne(0f32)?)?)
-            .to_dtype(DType::F32)?;
-        let count = (both.sum(D::Minus1)? + 1.0)?;
-        let step = (b - a)?.broadcast_mul(&both)?.sum(D::Minus1)?.broadcast_div(&count)?;
+        let middle = |t: &Tensor| -> candle_core::Result<Tensor> {
+            let points = t.narrow(1, 3, 3)?.flatten_from(2)?;
+            let there = points.narrow(1, 2, 1)?.ne(0f32)?.to_dtype(DType::F32)?;
+            let count = there.sum(D::Minus1)?.clamp(1f32, f32::MAX)?;
+            points.broadcast_mul(&there)?.sum(D::Minus1)?.broadcast_div(&count)
+        };
+        let step = (middle(b)? - middle(a)?)?;
         let none = step.zeros_like()?;
         Ok((step, none))
     }
 }
 
-/// Prefers small differences of the crops.
+/// Prefers crops with the same points. Colour is left out: the scene's light is not the networks'.
 struct Difference;
 
 impl Rank for Difference {
     fn features(&self, a: &Tensor, b: &Tensor) -> Result<Tensor, FoundationError> {
-        // Pixels that neither has count for nothing; one that only the drawing has counts fully.
-        let drawn = a.narrow(1, 5, 1)?.ne(0f32)?.to_dtype(DType::F32)?;
-        let d = (a - b)?.abs()?.clamp(0f32, 1f32)?.broadcast_mul(&drawn)?;
-        let total = (drawn.flatten_from(1)?.sum(1)? + 1.0)?;
-        Ok((d.flatten_from(1)?.sum(1)?.neg()? / total)?.unsqueeze(1)?)
+        let there = |t: &Tensor| t.narrow(1, 5, 1)?.ne(0f32)?.to_dtype(DType::F32);
+        let (in_a, in_b) = (there(a)?, there(b)?);
+        let both = (&in_a * &in_b)?;
+        let either = ((in_a + in_b)? - &both)?;
+        let distance = (a.narrow(1, 3, 3)? - b.narrow(1, 3, 3)?)?.abs()?.sum_keepdim(1)?;
+        // A point that only one of them has counts fully.
+        let cost = ((distance.clamp(0f32, 1f32)? * &both)? + (&either - &both)?)?;
+        let sum = |t: Tensor| t.flatten_from(1)?.sum(1);
+        Ok((sum(cost)?.neg()? / (sum(either)? + 1.0)?)?.unsqueeze(1)?)
     }
     fn compare(&self, features: &Tensor) -> Result<Tensor, FoundationError> {
         Ok(features.flatten_all()?)
     }
 }
 
-fn mug() -> Mesh {
-    primitives::mug(&MugSize::default(), 32, [40, 80, 190], [190, 60, 40])
+/// A block with an arm: no two views are alike.
+fn thing() -> Mesh {
+    let mut mesh = primitives::cuboid([0.04, 0.06, 0.12], [40, 80, 190]);
+    let arm = primitives::cuboid([0.06, 0.03, 0.03], [190, 60, 40]);
+    mesh.append(&arm.transformed(&pose_from_xyz_rpy([0.045, 0.015, 0.045], [0.0; 3])));
+    mesh
 }
 
-/// A mug before a wall.
+/// It before a wall.
 fn scene(pose: &Pose) -> (RgbdFrame, Vec<bool>) {
-    let (mesh, wall) = (mug(), primitives::cuboid([3.0, 3.0, 0.1], [120, 120, 120]));
+    let (mesh, wall) = (thing(), primitives::cuboid([3.0, 3.0, 0.1], [120, 120, 120]));
     let mut out = Rendered::default();
     let scene = [
         Instance { mesh: &wall, pose: Pose::translation(0.0, 0.0, 1.3), id: 1 },
@@ -66,27 +75,38 @@ fn estimator(px: u32) -> PoseEstimator<Centroids, Difference> {
 }
 
 #[test]
-fn a_mug_is_registered_and_followed() {
-    let truth = pose_from_xyz_rpy([0.08, -0.04, 0.7], [2.1, 0.2, 0.9]);
+fn an_object_is_registered() {
+    // One of the hypotheses' orientations: the stand-in does not turn.
+    let turn = hypotheses::rotations(&Symmetry::None)[100];
+    let truth = Pose::from_parts(Vector3::new(0.08, -0.04, 0.7).into(), turn);
     let (frame, mask) = scene(&truth);
-    let target = Target::new(&mug(), &Symmetry::None).unwrap();
+    let target = Target::new(&thing(), &Symmetry::None).unwrap();
     let mut e = estimator(40);
-    let found = e.register(&frame, |u, v| mask[(v * 320 + u) as usize], &target).unwrap();
+    let found = e.register(&frame, |u, v| mask[(v * 640 + u) as usize], &target).unwrap();
     let (d, angle) = tdv_geometry::pose_distance(&found.pose, &truth);
-    let centre = found.pose * mug().center() - truth * mug().center();
-    assert!(centre.norm() < 0.01 && angle < 0.7, "{d:.4} m {:.1} deg", angle.to_degrees());
+    assert!(d < 0.01 && angle < 0.1, "{d:.4} m {:.1} deg", angle.to_degrees());
+    assert!(found.agreement > 0.6, "{}", found.agreement);
+}
+
+#[test]
+fn an_object_is_followed() {
+    let truth = pose_from_xyz_rpy([0.08, -0.04, 0.7], [2.1, 0.2, 0.9]);
+    let (frame, _) = scene(&truth);
+    let target = Target::new(&thing(), &Symmetry::None).unwrap();
+    let mut e = estimator(40);
     // From a pose beside the truth, right orientation: the stand-in only moves.
     let beside = Pose::translation(0.012, -0.008, 0.01) * truth;
     let before = e.agreement(&frame, &checked(&frame).unwrap(), &target, &target.centred(&beside));
     let mut pose = beside;
-    let mut last = found;
+    let mut agreement = 0.0;
     for _ in 0..4 {
-        last = e.follow(&frame, &target, &pose).unwrap();
-        pose = last.pose;
+        let found = e.follow(&frame, &target, &pose).unwrap();
+        (pose, agreement) = (found.pose, found.agreement);
     }
     let off = (pose.translation.vector - truth.translation.vector).norm();
-    assert!(off < 0.003, "{off}");
-    assert!(last.agreement > 0.85 && before < 0.5, "{} {before}", last.agreement);
+    // The filter thins out slanted faces, which shifts the middle of the points.
+    assert!(off < 0.006, "{off}");
+    assert!(agreement > before + 0.3, "{agreement} {before}");
 }
 
 #[test]
@@ -105,14 +125,14 @@ fn a_step_moves_in_radii_and_turns_at_most_twenty_degrees() {
 fn what_cannot_be_done_is_an_error() {
     let truth = pose_from_xyz_rpy([0.0, 0.0, 0.7], [2.1, 0.2, 0.9]);
     let (mut frame, mask) = scene(&truth);
-    let target = Target::new(&mug(), &Symmetry::None).unwrap();
+    let target = Target::new(&thing(), &Symmetry::None).unwrap();
     let mut e = estimator(16);
     let none = e.register(&frame, |_, _| false, &target).unwrap_err().to_string();
     assert!(none.contains("mask"), "{none}");
     let behind = e.follow(&frame, &target, &Pose::translation(0.0, 0.0, -1.0));
     assert!(behind.is_err());
     frame.depth.data.fill(0.0);
-    assert!(e.register(&frame, |u, v| mask[(v * 320 + u) as usize], &target).is_err());
+    assert!(e.register(&frame, |u, v| mask[(v * 640 + u) as usize], &target).is_err());
     let lost = e.follow(&frame, &target, &truth).unwrap();
     assert_eq!(lost.agreement, 0.0);
     assert!((lost.pose * Point3::origin()).z.is_finite());

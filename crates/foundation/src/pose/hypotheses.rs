@@ -122,8 +122,9 @@ mod tests {
         let cube = rotations(&Symmetry::Cube).len();
         let half = vec![[0.0, 0.0, 1.0, 0.0]];
         let two = rotations(&Symmetry::Discrete { rotations: half }).len();
-        // A turning body has the directions of its axis left, a cube a 24th of all rotations.
-        assert!((25..=60).contains(&bottle), "{bottle}");
+        // A turning body has the directions of its axis left (15 caps of 30 degrees cover a sphere at
+        // best), a cube a 24th of all rotations.
+        assert!((15..=50).contains(&bottle), "{bottle}");
         assert!((6..=21).contains(&cube), "{cube}");
         assert!((100..=160).contains(&two), "{two}");
     }
