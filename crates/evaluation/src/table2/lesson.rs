@@ -212,7 +212,7 @@ fn training_set(
     let reachable = |pose: &Pose| {
         if arm.ik_tcp(pose).is_empty() { Err("unreachable".to_owned()) } else { Ok(()) }
     };
-    let options = GenerateOptions { reachable: Some(&reachable) };
+    let options = GenerateOptions { reachable: Some(&reachable), ..Default::default() };
     let (dataset, report) = generate_with(demonstration, &task, ordinary, course.seed, &options)?;
     Ok((TrainingSet::from(&dataset), report))
 }
