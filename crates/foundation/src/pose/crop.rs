@@ -76,8 +76,7 @@ const FARTHEST: f32 = 2.0;
 impl Normal {
     /// Channels x, y, z of a point.
     pub fn channels(&self, p: &Point3<f64>) -> [f32; 3] {
-        // NaN fails the comparison.
-        if !(p.z >= self.nearest) {
+        if p.z.is_nan() || p.z < self.nearest {
             return [0.0; 3];
         }
         let d = (p.coords - self.origin) / self.radius;

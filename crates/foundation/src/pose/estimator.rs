@@ -51,7 +51,7 @@ impl Default for PoseConfig {
 impl PoseConfig {
     fn check(&self) -> Result<(), FoundationError> {
         let bad = |reason: &str| Err(FoundationError::input("pose configuration", reason));
-        if self.crop_px < 8 || self.crop_px % 8 != 0 || self.crop_px > 1024 {
+        if self.crop_px < 8 || !self.crop_px.is_multiple_of(8) || self.crop_px > 1024 {
             return bad("crop_px must be a multiple of 8 up to 1024");
         }
         if self.batch == 0 {

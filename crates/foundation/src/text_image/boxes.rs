@@ -25,7 +25,7 @@ pub fn located(
         let Some((phrase, logit)) = scores.max_by(|a, b| a.1.total_cmp(&b.1)) else { continue };
         let score = 1.0 / (1.0 + (-f64::from(logit)).exp());
         let [cx, cy, bw, bh] = [b[0], b[1], b[2], b[3]].map(f64::from);
-        if !(score > threshold) || ![cx, cy, bw, bh].iter().all(|v| v.is_finite()) {
+        if score.is_nan() || score <= threshold || ![cx, cy, bw, bh].iter().all(|v| v.is_finite()) {
             continue;
         }
         // A fraction of 0 is the left border of the first pixel, whose centre is at 0.
