@@ -193,7 +193,8 @@ fn generation(task: &Task, course: &Course) -> (Task, usize) {
         g.recovery.share = 0.0;
     }
     let ordinary = (course.demos as f64 / (1.0 + g.recovery.share)).round() as usize;
-    let ordinary = ordinary.clamp(1, course.demos.max(1));
+    // One ordinary trajectory would be the demonstration itself.
+    let ordinary = ordinary.clamp(2, course.demos.max(2));
     g.recovery.share = (course.demos.saturating_sub(ordinary)) as f64 / ordinary as f64;
     g.count = ordinary;
     (task, ordinary)
