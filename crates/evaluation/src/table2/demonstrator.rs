@@ -5,7 +5,7 @@
 
 use super::Table2Error;
 use tdv_demonstration::{
-    Demonstration, FrameObservation, ParseConfig, ParseReport, Task, TaskKind, parse,
+    Demonstration, FrameObservation, ParseConfig, ParseReport, RemapMethod, Task, TaskKind, parse,
 };
 use tdv_geometry::{pose_from_xyz_rpy, yaw_of};
 use tdv_simulation::LabAssets;
@@ -30,7 +30,12 @@ pub fn demonstrate(
     assets: &LabAssets,
 ) -> Result<(Demonstration, ParseReport), Table2Error> {
     let frames = frames(task, assets)?;
-    Ok(parse(&frames, task, &ParseConfig::default())?)
+    let mut config = ParseConfig::default();
+    if task.kind == TaskKind::Hand {
+        // No object tells where between the fingers a thing is: the fingertips do.
+        config.remap.method = RemapMethod::Phantom;
+    }
+    Ok(parse(&frames, task, &config)?)
 }
 
 fn frames(task: &Task, assets: &LabAssets) -> Result<Vec<FrameObservation>, Table2Error> {
