@@ -82,6 +82,9 @@ pub struct Task {
     pub reference_object: String,
     /// Scene file of the virtual lab, relative to the repository's root.
     pub scene: String,
+    /// What stands in the arm's reach, relative to the repository's root; none = the table only.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub workcell: Option<String>,
     /// The procedures in order; none = those of the kind, see [`Task::sequence`].
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub procedures: Vec<ProcedureSpec>,

@@ -55,8 +55,7 @@ fn two_steps_of_training_place_nothing_and_records_are_found_again() {
     let dir = tempfile::tempdir().unwrap();
     let arm = Arm::ordinary();
     let course = Course { demos: 1, seed: 1, steps: 2, arm, threads: 1 };
-    let lesson =
-        Lesson::teach(&stage.demonstration, &stage.task, &course, dir.path(), &|_| {}).unwrap();
+    let lesson = stage.teach(&course, dir.path(), &|_| {}).unwrap();
     let job = Job {
         stage,
         lesson: Arc::new(lesson),

@@ -182,8 +182,7 @@ fn lesson(
         );
         let say = |text: &str| println!("  {what}: {text}");
         let models = args.out.join("models");
-        Lesson::teach(&stage.demonstration, &stage.task, &course, &models, &say)
-            .with_context(|| what.clone())?
+        stage.teach(&course, &models, &say).with_context(|| what.clone())?
     } else {
         Lesson::untaught(&stage.demonstration, &stage.task)
     };

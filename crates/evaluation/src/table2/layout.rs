@@ -1,5 +1,7 @@
 //! Where objects start.
 //!
+//! What varies is the moving object; in a task of the hand, which has none, the reference object.
+//!
 //! The 13 fixed points cover the task's rectangle (45 cm x 50 cm): three rows of three at 10 %, 50 % and
 //! 90 % of both sides, and between them two rows of two at 30 % and 70 %. One that lies in the excluded
 //! disc round the reference object goes to the nearest free place at the disc's edge.
@@ -8,11 +10,11 @@ use super::{Level, fnv64};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
-use tdv_demonstration::Workspace;
+use tdv_demonstration::{Task, TaskKind, Workspace};
 use tdv_simulation::Scene;
 use tdv_simulation::scene::Placement;
 
-/// A start of the moving object, before the lab has seen it.
+/// A start of the object that varies, before the lab has seen it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Start {
     /// m, base_link.
@@ -61,10 +63,18 @@ fn edge(workspace: &Workspace, reference: [f64; 2], at: [f64; 2]) -> [f64; 2] {
         .unwrap_or(at)
 }
 
-/// Range of the moving object's yaw at the start, rad: that of the scene.
-fn yaws(scene: &Scene) -> [f64; 2] {
-    let moving = scene.objects.iter().find(|o| o.name == scene.task.moving);
-    let deg = match moving.map(|o| &o.start) {
+/// The object whose start varies.
+pub(super) fn varied<'a>(scene: &'a Scene, task: &Task) -> &'a str {
+    match task.kind {
+        TaskKind::Object => &scene.task.moving,
+        TaskKind::Hand => &scene.task.reference,
+    }
+}
+
+/// Range of an object's yaw at the start, rad: that of the scene.
+fn yaws(scene: &Scene, name: &str) -> [f64; 2] {
+    let object = scene.objects.iter().find(|o| o.name == name);
+    let deg = match object.map(|o| &o.start) {
         Some(Placement::Region(r)) => r.yaw_deg,
         Some(Placement::Spot(s)) => [s.yaw_deg - s.jitter_deg, s.yaw_deg + s.jitter_deg],
         Some(Placement::On(_)) | None => [0.0; 2],
@@ -77,7 +87,7 @@ fn yaws(scene: &Scene) -> [f64; 2] {
 /// task see the same starts; position and yaw have a stream each, so that both levels see the same
 /// positions.
 pub(super) fn start(
-    scene: &Scene,
+    (scene, varied): (&Scene, &str),
     workspace: &Workspace,
     level: Level,
     demonstrated_yaw: f64,
@@ -86,7 +96,7 @@ pub(super) fn start(
 ) -> Start {
     let mut rng = ChaCha8Rng::seed_from_u64(environment(&scene.name, seed, trial));
     rng.set_stream(2);
-    let [low, high] = yaws(scene);
+    let [low, high] = yaws(scene, varied);
     let drawn: f64 = low + (high - low) * rng.random_range(0.0..1.0);
     let yaw = if level == Level::PG { demonstrated_yaw } else { drawn };
     if let Some([x, y]) = fixed_points(workspace, reference).get(trial) {
@@ -148,7 +158,7 @@ mod tests {
     #[test]
     fn levels_share_positions_and_differ_in_yaw() {
         let (scene, w) = cup();
-        let at = |level, trial| start(&scene, &w, level, 0.262, [0.45, -0.24], (1, trial));
+        let at = |level, trial| start((&scene, "mug"), &w, level, 0.262, [0.45, -0.24], (1, trial));
         let (mut low, mut high) = (f64::MAX, f64::MIN);
         for trial in 0..200 {
             let (a, b) = (at(Level::PG, trial), at(Level::PoG, trial));
@@ -159,6 +169,9 @@ mod tests {
             (low, high) = (low.min(b.yaw), high.max(b.yaw));
         }
         assert!(low < -1.4 && high > 1.4);
-        assert_ne!(at(Level::PG, 20), start(&scene, &w, Level::PG, 0.262, [0.45, -0.24], (2, 20)));
+        assert_ne!(
+            at(Level::PG, 20),
+            start((&scene, "mug"), &w, Level::PG, 0.262, [0.45, -0.24], (2, 20))
+        );
     }
 }

@@ -1,12 +1,12 @@
 //! What a cell learns from: the demonstration as it is, or so many trajectories made of it; policy and
 //! switch trained on them with the same number of steps, kept by a hash of everything that matters.
 
-use super::{Arm, Table2Error};
+use super::{Arm, Surroundings, Table2Error};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use tdv_demonstration::{
-    Demonstration, GenerateOptions, GenerationMode, GenerationReport, Limits, Task, densify,
-    generate_with, retime,
+    Collides, Demonstration, GenerateOptions, GenerationMode, GenerationReport, Limits, Task,
+    ToolPose, densify, generate_with, retime,
 };
 use tdv_geometry::Pose;
 use tdv_policy::{
@@ -88,18 +88,20 @@ impl Lesson {
         }
     }
 
-    /// Takes the networks from `cache` or trains them and puts them there.
+    /// Takes the networks from `cache` or trains them and puts them there. Trajectories keep clear of the
+    /// `surroundings`.
     ///
     /// # Errors
     /// Of generation, training and files.
     pub fn teach(
         demonstration: &Demonstration,
         task: &Task,
+        surroundings: Option<&Surroundings>,
         course: &Course,
         cache: &Path,
         say: &dyn Fn(&str),
     ) -> Result<Self, Table2Error> {
-        let hash = identity(demonstration, task, course)?;
+        let hash = identity(demonstration, task, surroundings, course)?;
         let folder = cache.join(format!("{}-{}-{hash}", task.name, course.demos));
         let names: Vec<&str> = demonstration.procedures.iter().map(|p| p.name.as_str()).collect();
         let (policy_file, switch_file) =
@@ -116,7 +118,7 @@ impl Lesson {
             let switch = SwitchPolicy::load_for(&switch_file, &task.name, &names)?;
             return Ok(lesson(policy, switch));
         }
-        let (set, report) = training_set(demonstration, task, course)?;
+        let (set, report) = training_set(demonstration, task, surroundings, course)?;
         let config = policy_config(&course.arm, set.dt);
         let t = train_config(task, course);
         let began = std::time::Instant::now();
@@ -203,6 +205,7 @@ fn generation(task: &Task, course: &Course) -> (Task, usize) {
 fn training_set(
     demonstration: &Demonstration,
     task: &Task,
+    surroundings: Option<&Surroundings>,
     course: &Course,
 ) -> Result<(TrainingSet, GenerationReport), Table2Error> {
     if course.demos <= 1 {
@@ -213,7 +216,11 @@ fn training_set(
     let reachable = |pose: &Pose| {
         if arm.ik_tcp(pose).is_empty() { Err("unreachable".to_owned()) } else { Ok(()) }
     };
-    let options = GenerateOptions { reachable: Some(&reachable), ..Default::default() };
+    let collides = |at: &ToolPose<'_>| surroundings.map_or(Ok(()), |s| s.free(at));
+    let options = GenerateOptions {
+        reachable: Some(&reachable),
+        collides: surroundings.is_some().then_some(&collides as Collides<'_>),
+    };
     let (dataset, report) = generate_with(demonstration, &task, ordinary, course.seed, &options)?;
     Ok((TrainingSet::from(&dataset), report))
 }
@@ -257,6 +264,7 @@ fn itself(demonstration: &Demonstration, task: &Task) -> TrainingSet {
 fn identity(
     demonstration: &Demonstration,
     task: &Task,
+    surroundings: Option<&Surroundings>,
     course: &Course,
 ) -> Result<String, Table2Error> {
     fn json(v: &impl Serialize) -> Result<String, Table2Error> {
@@ -265,7 +273,7 @@ fn identity(
     // The encoder's cache changes nothing that is learned.
     let mut course = course.clone();
     course.arm = Arm { name: String::new(), encoder_cache: true, ..course.arm };
-    let parts = [
+    let mut parts = vec![
         VERSION.to_string(),
         demonstration.hash(),
         json(task)?,
@@ -274,6 +282,7 @@ fn identity(
         json(&train_config(task, &Course { threads: 1, ..course.clone() }))?,
         json(&SwitchTrainConfig { seed: course.seed, ..Default::default() })?,
     ];
+    parts.extend(surroundings.map(|s| s.identity().to_owned()));
     Ok(super::fnv(parts.iter().map(String::as_str)))
 }
 
@@ -299,13 +308,13 @@ mod tests {
     fn so_many_demonstrations_are_so_many_trajectories() {
         let (task, d) = cup();
         for demos in [2, 15, 50] {
-            let (set, _) = training_set(&d, &task, &course(demos)).unwrap();
+            let (set, _) = training_set(&d, &task, None, &course(demos)).unwrap();
             for p in &set.procedures {
                 assert_eq!(p.trajectories.len(), demos, "{}", p.name);
             }
         }
         // One is the demonstration: same ends, same place, nothing in between made up.
-        let (set, _) = training_set(&d, &task, &course(1)).unwrap();
+        let (set, _) = training_set(&d, &task, None, &course(1)).unwrap();
         for (p, demo) in set.procedures.iter().zip(&d.procedures) {
             assert_eq!(p.trajectories[0], p.trajectories[1]);
             let end = p.trajectories[0].last().unwrap();
@@ -320,24 +329,24 @@ mod tests {
     #[test]
     fn the_hash_sees_what_is_learned_and_only_that() {
         let (task, d) = cup();
-        let base = identity(&d, &task, &course(15)).unwrap();
+        let base = identity(&d, &task, None, &course(15)).unwrap();
         let uncached = Arm { encoder_cache: false, name: "x".into(), ..Arm::ordinary() };
         let same = Course { arm: uncached, threads: 2, ..course(15) };
-        assert_eq!(identity(&d, &task, &same).unwrap(), base);
+        assert_eq!(identity(&d, &task, None, &same).unwrap(), base);
         let no_ema = Course { arm: Arm { ema: false, ..Arm::ordinary() }, ..course(15) };
         for other in [course(50), Course { seed: 2, ..course(15) }, no_ema] {
-            assert_ne!(identity(&d, &task, &other).unwrap(), base);
+            assert_ne!(identity(&d, &task, None, &other).unwrap(), base);
         }
         let mut wider = task.clone();
         wider.workspace.x[1] += 0.01;
-        assert_ne!(identity(&d, &wider, &course(15)).unwrap(), base);
+        assert_ne!(identity(&d, &wider, None, &course(15)).unwrap(), base);
     }
 
     #[test]
     fn a_second_lesson_comes_from_the_cache() {
         let (task, d) = cup();
         let cache = tempfile::tempdir().unwrap();
-        let teach = || Lesson::teach(&d, &task, &course(2), cache.path(), &|_| {}).unwrap();
+        let teach = || Lesson::teach(&d, &task, None, &course(2), cache.path(), &|_| {}).unwrap();
         let (first, second) = (teach(), teach());
         let (a, b) = (first.pupil.unwrap(), second.pupil.unwrap());
         assert_eq!(a.policy.weights, b.policy.weights);

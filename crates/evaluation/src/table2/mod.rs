@@ -19,6 +19,7 @@ mod record;
 mod report;
 mod run;
 mod straight;
+mod surroundings;
 mod trial;
 
 pub use arm::Arm;
@@ -29,6 +30,7 @@ pub use lesson::{Certificate, Course, Lesson, Pupil};
 pub use record::{Cause, TrialRecord, append_record, read_records};
 pub use report::{CellResult, Points13, Table2Report};
 pub use run::{Cell, Job, POINTS, Stage, run_jobs};
+pub use surroundings::Surroundings;
 pub use trial::{Setting, run_trial};
 
 use serde::{Deserialize, Serialize};

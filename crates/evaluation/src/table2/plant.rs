@@ -6,6 +6,7 @@ use super::Table2Error;
 use std::collections::VecDeque;
 use std::sync::Arc;
 use tdv_geometry::{Pose, Stamp};
+use tdv_robot::collision::CollisionWorld;
 use tdv_robot::executor::{Motion, MotionParams, RobotInput};
 use tdv_robot::gripper::{knuckle_from_register, register_from_knuckle};
 use tdv_robot::motion::{GripperFeedback, JointState, Requests, StatusCode};
@@ -14,6 +15,7 @@ use tdv_robot::{
 };
 use tdv_simulation::controller::{RobotMode, SafetyMode};
 use tdv_simulation::gripper::{Activation, GripperRequest as Registers, ObjectStatus};
+use tdv_simulation::scene::Placement;
 use tdv_simulation::trial::PlacingGoal;
 use tdv_simulation::{Lab, LabAssets};
 use tdv_ur_protocol::servo::{Command, ProgramState, ServoProgram};
@@ -54,25 +56,42 @@ pub(super) struct Plant {
     ticks: u64,
 }
 
+/// Start poses of all objects, the varied one where it shall be, and with it what stands on it.
+fn starts(
+    assets: &Arc<LabAssets>,
+    seed: u64,
+    (name, (x, y, yaw)): (&str, (f64, f64, f64)),
+) -> Result<Vec<Pose>, Table2Error> {
+    let drawn = Lab::from_assets(assets.clone(), seed)?;
+    let mut poses: Vec<Pose> = drawn.objects().map(|(_, pose)| pose).collect();
+    let scene = &assets.scene;
+    let pose = &mut poses[scene.index_of(name)?];
+    let turn = yaw - tdv_geometry::yaw_of(&pose.rotation);
+    let about = tdv_geometry::nalgebra::Vector3::z_axis();
+    pose.rotation =
+        tdv_geometry::nalgebra::UnitQuaternion::from_axis_angle(&about, turn) * pose.rotation;
+    (pose.translation.x, pose.translation.y) = (x, y);
+    for (i, object) in scene.objects.iter().enumerate() {
+        if let Placement::On(on) = &object.start {
+            poses[i] = poses[scene.index_of(&on.object)?] * on.pose();
+        }
+    }
+    Ok(poses)
+}
+
 impl Plant {
     /// A lab whose random choices follow from `seed`, with the gripper ready and the program running.
+    /// `varied`: an object's name and its x, y (m) and yaw (rad). `world`: what the arm controller is told
+    /// of its surroundings.
     pub fn new(
         assets: Arc<LabAssets>,
         seed: u64,
         goal: PlacingGoal,
-        moving_at: Option<(f64, f64, f64)>,
+        varied: (&str, (f64, f64, f64)),
+        world: Option<CollisionWorld>,
     ) -> Result<Self, Table2Error> {
-        let mut lab = Lab::from_assets(assets, seed)?;
-        if let Some((x, y, yaw)) = moving_at {
-            let i = lab.scene().index_of(&lab.scene().task.moving)?;
-            let mut pose = lab.world().object_pose(i);
-            let turn = yaw - tdv_geometry::yaw_of(&pose.rotation);
-            let about = tdv_geometry::nalgebra::Vector3::z_axis();
-            pose.rotation = tdv_geometry::nalgebra::UnitQuaternion::from_axis_angle(&about, turn)
-                * pose.rotation;
-            (pose.translation.x, pose.translation.y) = (x, y);
-            lab.world_mut().place_object(i, &pose);
-        }
+        let starts = starts(&assets, seed, varied)?;
+        let mut lab = Lab::with_starts(assets, seed, &starts)?;
         lab.set_gripper_request(Registers { activate: true, ..Registers::default() });
         let script = ServoProgram::cb3().text().map_err(|e| Table2Error::Robot(e.to_string()))?;
         lab.controller_mut()
@@ -89,8 +108,11 @@ impl Plant {
         // As in the lab's launch files: nobody is there to press a button.
         let params =
             ControllerParams { auto_resume: true, limits: limits.clone(), ..Default::default() };
-        let controller = ArmController::new(Kinematics::ur5(), params)
+        let mut controller = ArmController::new(Kinematics::ur5(), params)
             .map_err(|problems| Table2Error::Robot(problems.join("; ")))?;
+        if let Some(world) = world {
+            controller = controller.with_world(world);
+        }
         Ok(Self {
             lab,
             input: ControllerInput::default(),
@@ -214,6 +236,37 @@ impl Plant {
                 force: 40,
                 ..Registers::default()
             });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+    use tdv_geometry::pose_distance;
+    use tdv_simulation::Scene;
+
+    #[test]
+    fn what_stands_on_the_varied_object_goes_with_it() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/scenes");
+        let load = |name: &str| {
+            let scene = Scene::load(&root.join(format!("{name}.yaml"))).unwrap();
+            Arc::new(LabAssets::load(scene).unwrap())
+        };
+        let assets = load("insert_plug");
+        let poses = starts(&assets, 3, ("socket", (0.4, 0.1, 0.5))).unwrap();
+        let lab = Lab::with_starts(assets, 3, &poses).unwrap();
+        let (socket, plug) = (lab.object_pose("socket").unwrap(), lab.object_pose("plug").unwrap());
+        let parked = Pose::translation(-0.045, 0.0, 0.0202);
+        assert!(pose_distance(&(socket.inverse() * plug), &parked).0 < 1e-5);
+        assert!((tdv_geometry::yaw_of(&socket.rotation) - 0.5).abs() < 1e-5);
+
+        let assets = load("pour_water");
+        let poses = starts(&assets, 3, ("mug", (0.35, 0.2, 1.0))).unwrap();
+        let lab = Lab::with_starts(assets, 3, &poses).unwrap();
+        for drop in lab.world().drops() {
+            assert!((drop.x - 0.35).hypot(drop.y - 0.2) < 0.03, "{drop}");
         }
     }
 }

@@ -2,8 +2,8 @@
 
 use super::record::key;
 use super::{
-    Arm, Lesson, Level, PolicyKind, PoseNoise, Setting, Table2Error, TrialRecord, demonstrate,
-    run_trial,
+    Arm, Course, Lesson, Level, PolicyKind, PoseNoise, Setting, Surroundings, Table2Error,
+    TrialRecord, demonstrate, run_trial,
 };
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -23,6 +23,8 @@ pub struct Stage {
     pub assets: Arc<LabAssets>,
     /// The one demonstration.
     pub demonstration: Demonstration,
+    /// What stands around the arm, where the task says so.
+    pub surroundings: Option<Surroundings>,
 }
 
 impl Stage {
@@ -35,7 +37,22 @@ impl Stage {
         let scene = Scene::load(&root.join(&task.scene))?;
         let assets = Arc::new(LabAssets::load(scene)?);
         let (demonstration, _) = demonstrate(&task, &assets)?;
-        Ok(Self { task, assets, demonstration })
+        let surroundings = Surroundings::load(root, &task, &assets)?;
+        Ok(Self { task, assets, demonstration, surroundings })
+    }
+
+    /// Its lesson, see [`Lesson::teach`].
+    ///
+    /// # Errors
+    /// As [`Lesson::teach`].
+    pub fn teach(
+        &self,
+        course: &Course,
+        cache: &Path,
+        say: &dyn Fn(&str),
+    ) -> Result<Lesson, Table2Error> {
+        let around = self.surroundings.as_ref();
+        Lesson::teach(&self.demonstration, &self.task, around, course, cache, say)
     }
 }
 
@@ -89,6 +106,7 @@ impl Job {
         let setting = Setting {
             task: &self.stage.task,
             assets: &self.stage.assets,
+            surroundings: self.stage.surroundings.as_ref(),
             lesson: &self.lesson,
             demos: self.cell.demos,
             level: self.cell.level,

@@ -5,7 +5,8 @@ use super::eyes::{Eyes, Frame, PoseNoise, RATE};
 use super::layout::{self, environment};
 use super::plant::Plant;
 use super::{
-    Arm, Cause, Lesson, Level, PolicyKind, Start, Table2Error, TrialRecord, demonstrator, fnv64,
+    Arm, Cause, Lesson, Level, PolicyKind, Start, Surroundings, Table2Error, TrialRecord,
+    demonstrator, fnv64,
 };
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -13,7 +14,7 @@ use tdv_demonstration::Task;
 use tdv_geometry::{Stamp, yaw_of};
 use tdv_robot::motion::{Attach, ObjectPlace, ObjectReport, StatusCode};
 use tdv_simulation::disturbance::Disturbance;
-use tdv_simulation::trial::PlacingGoal;
+use tdv_simulation::trial::{PlacingGoal, Rule};
 use tdv_simulation::{LabAssets, SimulationError};
 
 /// The arm controller being done, the judge gets this long to see everything at rest, s.
@@ -27,6 +28,8 @@ pub struct Setting<'a> {
     pub task: &'a Task,
     /// Scene and objects.
     pub assets: &'a Arc<LabAssets>,
+    /// What stands around the arm.
+    pub surroundings: Option<&'a Surroundings>,
     /// What was taught.
     pub lesson: &'a Arc<Lesson>,
     /// Demonstrations, for the record.
@@ -52,6 +55,8 @@ struct Delivery {
     frame: Frame,
     decision: Decision,
     held: bool,
+    /// The task has an object that is carried.
+    carries: bool,
 }
 
 /// Runs trial number `trial`; the same setting gives the same record, apart from times of the machine.
@@ -61,18 +66,20 @@ struct Delivery {
 pub fn run_trial(setting: &Setting<'_>, trial: usize) -> Result<TrialRecord, Table2Error> {
     let began = std::time::Instant::now();
     let start = start(setting, trial)?;
-    let seed = environment(&setting.assets.scene.name, setting.seed, trial);
-    let goal = PlacingGoal {
-        offset: setting.assets.scene.task.goal.offset,
-        yaw: setting
-            .lesson
-            .demonstration
-            .procedures
-            .last()
-            .map_or(0.0, |p| yaw_of(&p.goal().rotation)),
+    let scene = &setting.assets.scene;
+    let seed = environment(&scene.name, setting.seed, trial);
+    let last = setting.lesson.demonstration.procedures.last();
+    let goal = match scene.task.rule {
+        // The yaw is to be the demonstrated one.
+        Rule::Placing => PlacingGoal {
+            offset: scene.task.goal.offset,
+            yaw: last.map_or(0.0, |p| yaw_of(&p.goal().rotation)),
+        },
+        _ => scene.task.goal,
     };
-    let at = (start.x, start.y, start.yaw);
-    let plant = Plant::new(setting.assets.clone(), seed, goal, Some(at))?;
+    let varied = (layout::varied(scene, setting.task), (start.x, start.y, start.yaw));
+    let world = setting.surroundings.map(|s| s.world().clone());
+    let plant = Plant::new(setting.assets.clone(), seed, goal, varied, world)?;
     let brain = Brain::new(setting.lesson, setting.task, setting.policy, setting.arm)?;
     let eyes =
         Eyes::new(setting.task, setting.noise, fnv64(["eyes", &seed.to_string()].into_iter()));
@@ -101,8 +108,16 @@ fn start(setting: &Setting<'_>, trial: usize) -> Result<Start, Table2Error> {
     let reference = scene.draw_starts(seed)?[scene.index_of(&scene.task.reference)?];
     let reference = [reference.translation.x, reference.translation.y];
     let yaw = demonstrator::start_yaw(&setting.lesson.demonstration);
+    let varied = layout::varied(scene, setting.task);
     let numbers = (setting.seed, trial);
-    Ok(layout::start(scene, &setting.task.workspace, setting.level, yaw, reference, numbers))
+    Ok(layout::start(
+        (scene, varied),
+        &setting.task.workspace,
+        setting.level,
+        yaw,
+        reference,
+        numbers,
+    ))
 }
 
 struct Run<'a> {
@@ -178,6 +193,7 @@ impl Run<'_> {
             frame,
             decision,
             held,
+            carries: self.carried.is_some(),
         });
         Ok(())
     }
@@ -188,8 +204,12 @@ impl Run<'_> {
             let input = &mut self.plant.input;
             input.procedure = Some(d.decision.state);
             input.attach = d.frame.attach.map(|pose| Attach { stamp: d.stamp, pose });
-            let in_grip = d.held && d.frame.in_grip;
-            let place = if in_grip { ObjectPlace::Held } else { ObjectPlace::Apart };
+            let place = match (d.carries, d.held && d.frame.in_grip) {
+                // What the gripper's own path holds is not followed by itself.
+                (false, _) => ObjectPlace::Unknown,
+                (true, true) => ObjectPlace::Held,
+                (true, false) => ObjectPlace::Apart,
+            };
             input.object = Some(ObjectReport { stamp: d.stamp, place });
             if let Some(plan) = d.decision.plan {
                 input.plan = Some(plan);
