@@ -8,6 +8,7 @@ mod plot;
 mod statistics;
 mod stream;
 mod tracking;
+pub mod tracking_synthetic;
 
 pub use closed_loop::{ClosedLoopReport, ClosedLoopSummary, Fault, LatencyFigures, Trial};
 pub use page::Page;

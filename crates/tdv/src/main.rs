@@ -16,6 +16,7 @@ mod record_demo;
 mod report;
 mod teach;
 mod tracking;
+mod tracking_synthetic;
 
 use arguments::{Arguments, BagCommand, Command, EvalCommand};
 use clap::Parser as _;
