@@ -9,6 +9,7 @@ mod statistics;
 mod stream;
 pub mod table2;
 mod tracking;
+pub mod tracking_synthetic;
 
 pub use closed_loop::{ClosedLoopReport, ClosedLoopSummary, Fault, LatencyFigures, Trial};
 pub use page::Page;

@@ -352,14 +352,27 @@ pub struct ClosedLoopArgs {
 #[derive(Args)]
 pub struct TrackingArgs {
     /// Folder of the data set
-    #[arg(long)]
-    pub dataset: PathBuf,
-    /// Object
-    #[arg(long, default_value = "cube")]
+    #[arg(long, required_unless_present = "synthetic")]
+    pub dataset: Option<PathBuf>,
+    /// Object; with --synthetic a list with commas, or all
+    #[arg(long, default_value = "cube", default_value_if("synthetic", "true", "all"))]
     pub object: String,
     /// Through the live graph: bag, camera_replay, perception_bridge, pose_tracker
     #[arg(long)]
     pub live: bool,
+    /// The benchmark with exact truth instead of a data set: own objects, rendered, in process.
+    /// Finished sequences are kept in --run and not run again
+    #[arg(long, conflicts_with_all = ["dataset", "live"])]
+    pub synthetic: bool,
+    /// Sequences of each object, numbers from 0 with commas, or all (with --synthetic)
+    #[arg(long, default_value = "all", requires = "synthetic")]
+    pub sequences: String,
+    /// Frames of each sequence (with --synthetic)
+    #[arg(long, default_value_t = 150, requires = "synthetic")]
+    pub frames: usize,
+    /// Seed (with --synthetic)
+    #[arg(long, default_value_t = 1, requires = "synthetic")]
+    pub seed: u64,
     /// Result file
     #[arg(long)]
     pub json: Option<PathBuf>,

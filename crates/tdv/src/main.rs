@@ -20,6 +20,7 @@ mod teach;
 mod teach_multi;
 mod tracking;
 mod training;
+mod tracking_synthetic;
 
 use arguments::{Arguments, BagCommand, Command, EvalCommand};
 use clap::Parser as _;

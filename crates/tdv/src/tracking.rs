@@ -3,6 +3,7 @@
 use crate::arguments::TrackingArgs;
 use crate::eval::write_json;
 use crate::launch;
+use crate::tracking_synthetic;
 use anyhow::{Context as _, bail};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -22,19 +23,23 @@ const PATIENCE: f64 = 60.0;
 
 /// Tracks the object of a data set and compares with its reference.
 pub fn run(args: &TrackingArgs) -> anyhow::Result<bool> {
+    if args.synthetic {
+        return tracking_synthetic::run(args);
+    }
+    let dataset = args.dataset.as_deref().context("--dataset is missing")?;
     if args.object != "cube" {
         bail!("the data set has reference poses of the cube only, not of {:?}", args.object);
     }
-    let sequence = Sequence::open(&args.dataset)?;
+    let sequence = Sequence::open(dataset)?;
     if !args.live {
-        let summary = visp::evaluate_visp(&args.dataset)?;
+        let summary = visp::evaluate_visp(dataset)?;
         println!("{summary:#?}");
         if let Some(path) = &args.json {
             write_json(path, &serde_json::json!({ "summary": summary }))?;
         }
         return Ok(summary.lost == 0);
     }
-    let report = live(args, &sequence)?;
+    let report = live(args, dataset, &sequence)?;
     println!("{:#?}", report.summary);
     if let Some(path) = &args.json {
         write_json(path, &report)?;
@@ -85,12 +90,16 @@ fn catalogue(dataset: &Path, sequence: &Sequence, folder: &Path) -> anyhow::Resu
     Ok(())
 }
 
-fn live(args: &TrackingArgs, sequence: &Sequence) -> anyhow::Result<TrackingReport> {
+fn live(
+    args: &TrackingArgs,
+    dataset: &Path,
+    sequence: &Sequence,
+) -> anyhow::Result<TrackingReport> {
     let (bag, objects) = (args.run.join("bag"), args.run.join("objects"));
     tdv_bag::remove_bag(&bag)?;
     std::fs::create_dir_all(&args.run)?;
     let t_base_camera = import(sequence, &bag)?;
-    catalogue(&args.dataset, sequence, &objects)?;
+    catalogue(dataset, sequence, &objects)?;
     let launch_file = Path::new("launch_scripts/replay.launch.yaml");
     let arguments = [
         ("bag", bag.display().to_string()),
