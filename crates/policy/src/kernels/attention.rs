@@ -1,8 +1,8 @@
 //! Full (non-causal) multi-head self-attention on packed projections, softmax(q k^T / sqrt(dh)) v.
 //! The backward pass recomputes the probabilities instead of storing them.
 
-use super::math::{dot, exp, sum};
-use super::{Strided, dispatch, panel, simd_level};
+use super::math::{dot, exp, max, sum};
+use super::{Start, Strided, dispatch, panel, simd_level, transpose};
 
 const LANES: usize = 16;
 
@@ -44,17 +44,6 @@ dispatch! {
     pub fn attention(s: AttentionShape, qkv: &[f32], out: &mut [f32], scratch: &mut [f32]) = forward
 }
 
-/// Transposes rows `0..tokens` of one head (`stride` apart) into `to[head][padded]`.
-#[inline(always)]
-fn transpose(from: &[f32], stride: usize, to: &mut [f32], tokens: usize, head: usize) {
-    let padded = to.len() / head;
-    for (t, row) in from.chunks(stride).take(tokens).enumerate() {
-        for (c, v) in row[..head].iter().enumerate() {
-            to[c * padded + t] = *v;
-        }
-    }
-}
-
 /// `c[rows, columns] = a[rows, depth] b[depth, columns]`, all with own row distances, columns a
 /// multiple of 16.
 fn multiply(
@@ -63,17 +52,14 @@ fn multiply(
     (b, b_row): (&[f32], usize),
     (c, c_row): (&mut [f32], usize),
 ) {
-    for c in c.chunks_mut(c_row).take(rows) {
-        c[..columns].fill(0.0);
-    }
     let a = Strided { data: a, row: a_row, column: 1 };
     let level = simd_level();
     for at in (0..columns).step_by(2 * LANES) {
         let (b, c) = (&b[at..], &mut c[at..]);
         if at + 2 * LANES <= columns {
-            panel::<2>(level, [rows, depth], a, b, b_row, c, c_row);
+            panel::<2, false>(level, [rows, depth], a, b, b_row, c, c_row, Start::Zero);
         } else {
-            panel::<1>(level, [rows, depth], a, b, b_row, c, c_row);
+            panel::<1, false>(level, [rows, depth], a, b, b_row, c, c_row, Start::Zero);
         }
     }
 }
@@ -81,10 +67,7 @@ fn multiply(
 /// Softmax of the first `n` values times `scale`; what pads the row becomes zero.
 #[inline(always)]
 fn softmax<const FMA: bool>(row: &mut [f32], n: usize, scale: f32) {
-    let mut max = f32::NEG_INFINITY;
-    for v in &row[..n] {
-        max = if *v > max { *v } else { max };
-    }
+    let max = max(&row[..n]);
     for v in row.iter_mut() {
         *v = exp::<FMA>((*v - max) * scale);
     }
@@ -101,6 +84,7 @@ fn forward<const FMA: bool>(s: AttentionShape, qkv: &[f32], out: &mut [f32], scr
     let (n, dh, d) = (s.tokens, s.head, s.heads * s.head);
     let np = s.padded();
     let scale = 1.0 / (dh as f32).sqrt();
+    let level = simd_level();
     let (kt, rest) = scratch.split_at_mut(dh * np);
     let p = &mut rest[..n * np];
     kt.fill(0.0);
@@ -109,7 +93,7 @@ fn forward<const FMA: bool>(s: AttentionShape, qkv: &[f32], out: &mut [f32], scr
         let out = &mut out[b * n * d..][..n * d];
         for h in 0..s.heads {
             let (q, k, v) = (&qkv[h * dh..], &qkv[d + h * dh..], &qkv[2 * d + h * dh..]);
-            transpose(k, 3 * d, kt, n, dh);
+            transpose(level, [n, dh], k, 3 * d, kt, np);
             multiply([n, dh, np], (q, 3 * d), (kt, np), (p, np));
             for row in p.chunks_exact_mut(np) {
                 softmax::<FMA>(row, n, scale);
@@ -138,6 +122,7 @@ fn backward<const FMA: bool>(
     let (n, dh, d) = (s.tokens, s.head, s.heads * s.head);
     let np = s.padded();
     let scale = 1.0 / (dh as f32).sqrt();
+    let level = simd_level();
     let (kt, rest) = scratch.split_at_mut(dh * np);
     let (vt, rest) = rest.split_at_mut(dh * np);
     let (p, rest) = rest.split_at_mut(np * np);
@@ -152,23 +137,19 @@ fn backward<const FMA: bool>(
         for h in 0..s.heads {
             let (q_at, k_at, v_at) = (h * dh, d + h * dh, 2 * d + h * dh);
             let (q, k, v, g) = (&qkv[q_at..], &qkv[k_at..], &qkv[v_at..], &g[h * dh..]);
-            transpose(k, 3 * d, kt, n, dh);
-            transpose(v, 3 * d, vt, n, dh);
+            transpose(level, [n, dh], k, 3 * d, kt, np);
+            transpose(level, [n, dh], v, 3 * d, vt, np);
             multiply([n, dh, np], (q, 3 * d), (kt, np), (p, np));
             multiply([n, dh, np], (g, d), (vt, np), (ds, np));
-            for (t, (p, ds)) in
-                p.chunks_exact_mut(np).zip(ds.chunks_exact_mut(np)).take(n).enumerate()
-            {
+            for (p, ds) in p.chunks_exact_mut(np).zip(ds.chunks_exact_mut(np)).take(n) {
                 softmax::<FMA>(p, n, scale);
                 let inner = dot::<FMA>(p, ds);
                 for (ds, p) in ds.iter_mut().zip(p.iter()) {
                     *ds = p * (*ds - inner) * scale;
                 }
-                for j in 0..n {
-                    pt[j * np + t] = p[j];
-                    dst[j * np + t] = ds[j];
-                }
             }
+            transpose(level, [n, n], p, np, pt, np);
+            transpose(level, [n, n], ds, np, dst, np);
             multiply([n, n, dh], (ds, np), (k, 3 * d), (&mut dqkv[q_at..], 3 * d));
             multiply([n, n, dh], (dst, np), (q, 3 * d), (&mut dqkv[k_at..], 3 * d));
             multiply([n, n, dh], (pt, np), (g, d), (&mut dqkv[v_at..], 3 * d));

@@ -62,6 +62,27 @@ pub fn sum(x: &[f32]) -> f32 {
     lanes(acc) + rest.iter().sum::<f32>()
 }
 
+/// Largest value in sixteen independent lanes; minus infinity of nothing.
+#[inline(always)]
+pub fn max(x: &[f32]) -> f32 {
+    let larger = |a: f32, b: f32| if a > b { a } else { b };
+    let mut acc = [f32::NEG_INFINITY; 16];
+    let (chunks, rest) = x.as_chunks::<16>();
+    for c in chunks {
+        for i in 0..16 {
+            acc[i] = larger(acc[i], c[i]);
+        }
+    }
+    let mut half = 8;
+    while half > 0 {
+        for i in 0..half {
+            acc[i] = larger(acc[i], acc[i + half]);
+        }
+        half /= 2;
+    }
+    rest.iter().fold(acc[0], |m, v| larger(m, *v))
+}
+
 /// Dot product in sixteen independent lanes.
 #[inline(always)]
 pub fn dot<const FMA: bool>(a: &[f32], b: &[f32]) -> f32 {

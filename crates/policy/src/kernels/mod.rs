@@ -11,17 +11,19 @@ mod math;
 mod matmul;
 mod pointwise;
 mod tile;
+mod transpose;
 
 pub use adamw::{AdamW, adamw};
 pub use attention::{AttentionShape, attention, attention_backward};
 pub use layer_norm::{LayerNormShape, layer_norm_modulate, layer_norm_modulate_backward};
-pub use matmul::{matmul, matmul_nt, matmul_tn};
+pub use matmul::{matmul, matmul_bias, matmul_nt, matmul_tn};
 pub use pointwise::{
     add, add_rows, bias_gelu, column_sums, fill_rows, gated_add, gated_add_backward, gelu,
     gelu_backward, silu, silu_backward, squared_norm,
 };
 
-pub(crate) use tile::{Strided, WIDTH, panel};
+pub(crate) use tile::{Start, Strided, WIDTH, panel};
+pub(crate) use transpose::transpose;
 
 /// What the vector units of this processor can do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -51,6 +53,16 @@ pub fn simd_level() -> SimdLevel {
         }
     }
     SimdLevel::Baseline
+}
+
+/// All levels that this processor has.
+#[cfg(test)]
+pub(crate) fn levels() -> Vec<SimdLevel> {
+    match simd_level() {
+        SimdLevel::Avx512 => vec![SimdLevel::Avx512, SimdLevel::Avx2, SimdLevel::Baseline],
+        SimdLevel::Avx2 => vec![SimdLevel::Avx2, SimdLevel::Baseline],
+        SimdLevel::Baseline => vec![SimdLevel::Baseline],
+    }
 }
 
 /// Compiles the generic `$body::<FMA>` three times and picks one by [`simd_level`].

@@ -4,8 +4,8 @@ use super::FEED_FORWARD;
 use super::layout::Linear;
 use crate::kernels::{
     AttentionShape, LayerNormShape, add, attention, attention_backward, bias_gelu, column_sums,
-    fill_rows, gated_add, gated_add_backward, gelu_backward, layer_norm_modulate,
-    layer_norm_modulate_backward, matmul, matmul_nt, matmul_tn,
+    gated_add, gated_add_backward, gelu_backward, layer_norm_modulate,
+    layer_norm_modulate_backward, matmul, matmul_bias, matmul_nt, matmul_tn,
 };
 
 /// A block's weights.
@@ -62,9 +62,7 @@ impl Scratch {
 
 /// `y = x W + b` over `rows` rows.
 pub(crate) fn linear(l: &Linear, p: &[f32], x: &[f32], y: &mut [f32], rows: usize) {
-    let y = &mut y[..rows * l.outputs];
-    fill_rows(l.bias.of(p), y);
-    matmul(x, l.weight.of(p), y, [rows, l.inputs, l.outputs], true);
+    matmul_bias(x, l.weight.of(p), l.bias.of(p), y, [rows, l.inputs, l.outputs]);
 }
 
 /// Accumulates the gradients of the weights of [`linear`] and, if given, of its input.

@@ -1,7 +1,10 @@
 //! A linear layer whose weights are laid out for few rows: panels of 32 columns, read in order.
 
-use crate::kernels::{SimdLevel, Strided, WIDTH, panel, simd_level};
+use crate::kernels::{SimdLevel, Start, Strided, WIDTH, panel, simd_level};
 use crate::network::Linear;
+
+/// Rows at a time of what does not fill a panel.
+const NARROW: usize = 8;
 
 /// `y = x W + b` for a handful of rows.
 pub(crate) struct PackedLinear {
@@ -35,22 +38,25 @@ impl PackedLinear {
         let (k, n) = (self.inputs, self.outputs);
         assert!(x.len() >= rows * k && y.len() >= rows * n, "sizes");
         let y = &mut y[..rows * n];
-        for y in y.chunks_exact_mut(n) {
-            y.copy_from_slice(&self.bias);
-        }
         let a = Strided { data: x, row: k, column: 1 };
-        for (p, w) in self.weights.chunks_exact(k * WIDTH).enumerate() {
-            let at = p * WIDTH;
-            if at + WIDTH <= n {
-                panel::<2>(self.level, [rows, k], a, w, WIDTH, &mut y[at..], n);
+        let panels = self.weights.chunks_exact(k * WIDTH).zip(self.bias.chunks(WIDTH));
+        for (p, (w, bias)) in panels.enumerate() {
+            let (y, start) = (&mut y[p * WIDTH..], Start::Row(bias));
+            if bias.len() == WIDTH {
+                // While a panel is used the next one comes out of the outer cache.
+                panel::<2, true>(self.level, [rows, k], a, w, WIDTH, y, n, start);
                 continue;
             }
-            for (row, y) in y.chunks_exact_mut(n).enumerate() {
-                let mut sums = [0.0; WIDTH];
-                let a = Strided { data: &x[row * k..], ..a };
-                panel::<2>(self.level, [1, k], a, w, WIDTH, &mut sums, WIDTH);
-                for (y, s) in y[at..].iter_mut().zip(sums) {
-                    *y += s;
+            let mut sums = [0.0; NARROW * WIDTH];
+            for (i, y) in y.chunks_mut(NARROW * n).enumerate() {
+                let count = NARROW.min(rows - i * NARROW);
+                let a = Strided { data: &x[i * NARROW * k..], ..a };
+                let zero = Start::Zero;
+                panel::<2, false>(self.level, [count, k], a, w, WIDTH, &mut sums, WIDTH, zero);
+                for (y, sums) in y.chunks_mut(n).zip(sums.chunks_exact(WIDTH)) {
+                    for ((y, s), b) in y.iter_mut().zip(sums).zip(bias) {
+                        *y = s + b;
+                    }
                 }
             }
         }
@@ -61,23 +67,17 @@ impl PackedLinear {
 mod tests {
     use super::*;
     use crate::kernels::check::random;
-    use crate::kernels::matmul;
+    use crate::kernels::{levels, matmul};
 
     #[test]
     fn every_level_agrees_with_the_matrix_product() {
-        let best = simd_level();
-        let levels: &[SimdLevel] = match best {
-            SimdLevel::Avx512 => &[SimdLevel::Avx512, SimdLevel::Avx2, SimdLevel::Baseline],
-            SimdLevel::Avx2 => &[SimdLevel::Avx2, SimdLevel::Baseline],
-            SimdLevel::Baseline => &[SimdLevel::Baseline],
-        };
         for (rows, k, n) in [(16, 64, 192), (10, 9, 64), (13, 64, 9), (1, 32, 33), (7, 5, 64)] {
             let (x, w, b) = (random(rows * k, 1), random(k * n, 2), random(n, 3));
             let mut want: Vec<f32> = b.iter().copied().cycle().take(rows * n).collect();
             matmul(&x, &w, &mut want, [rows, k, n], true);
-            for level in levels {
+            for level in levels() {
                 let mut y = vec![0.0; rows * n];
-                PackedLinear::pack(&w, &b, k, n, *level).apply(&x, &mut y, rows);
+                PackedLinear::pack(&w, &b, k, n, level).apply(&x, &mut y, rows);
                 for (a, b) in y.iter().zip(&want) {
                     assert!((a - b).abs() < 1e-5, "{level:?} {rows}x{k}x{n}");
                 }
