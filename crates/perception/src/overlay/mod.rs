@@ -84,7 +84,9 @@ fn wrapped(line: &str, wide: usize) -> Vec<String> {
 
 fn dot(picture: &mut RgbImage, x: i32, y: i32, pen: i32, color: [u8; 3]) {
     let (w, h) = (picture.width() as i32, picture.height() as i32);
-    for (u, v) in (y..y + pen).flat_map(|v| (x..x + pen).map(move |u| (u, v))) {
+    for (u, v) in
+        (y..y.saturating_add(pen)).flat_map(|v| (x..x.saturating_add(pen)).map(move |u| (u, v)))
+    {
         if (0..w).contains(&u) && (0..h).contains(&v) {
             picture.get_pixel_mut(u as u32, v as u32).0 = color;
         }
@@ -201,7 +203,7 @@ mod tests {
         let mut picture = RgbImage::new(16, 8);
         outline(&mut picture, &[1; 3]);
         text(&mut picture, 4, 4, "é far too long", [255; 3]);
-        line(&mut picture, (-1e9, 5.0), (1e9, 5.0), [255; 3]);
+        line(&mut picture, (-1e12, 5.0), (1e12, 5.0), [255; 3]);
         outline(&mut picture, &[0; 128]);
     }
 }

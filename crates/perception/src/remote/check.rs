@@ -3,11 +3,17 @@
 use crate::catalogue::ObjectModel;
 use crate::frame::RgbdFrame;
 use crate::segment::Mask;
+use crate::table::TablePlane;
 use crate::view::{Painter, Window};
 use tdv_geometry::Pose;
 
 /// Depth (m) by which something nearer hides the object.
 const OCCLUDER_M: f32 = 0.03;
+/// Lowest height (m) above the table of what may hide an object: the table itself does not.
+const OVER_TABLE_M: f64 = 0.01;
+/// Overlap with the mask below which a pose is worth nothing, and from which it is worth everything. A mask
+/// cut out by depth and colour covers a true outline by 0.7 and more.
+const OVERLAP: [f64; 2] = [0.2, 0.6];
 
 /// How an answered pose compares with the image it is about.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -24,7 +30,7 @@ impl Check {
     /// 0..1: agreement, reduced where the outline is off. A thin object on a table agrees in depth
     /// anywhere on it, so that depth alone says nothing about it.
     pub fn confidence(&self) -> f64 {
-        self.agreement * (self.overlap / 0.5).min(1.0)
+        self.agreement * ((self.overlap - OVERLAP[0]) / (OVERLAP[1] - OVERLAP[0])).clamp(0.0, 1.0)
     }
 }
 
@@ -35,6 +41,7 @@ pub(crate) fn check(
     model: &ObjectModel,
     pose: &Pose,
     mask: Option<&Mask>,
+    table: Option<&TablePlane>,
 ) -> Check {
     let mut out = Check::default();
     let k = &frame.intrinsics;
@@ -46,6 +53,9 @@ pub(crate) fn check(
         let v = window.y0 + (i / window.width as usize) as i32;
         if let Some(d) = frame.depth_at(u, v) {
             if d < z - OCCLUDER_M {
+                let seen = k.unproject(f64::from(u), f64::from(v), f64::from(d));
+                let sunk = table.is_some_and(|t| t.height(&seen) < OVER_TABLE_M);
+                measured += f64::from(u8::from(sunk));
                 continue;
             }
             measured += 1.0;

@@ -172,7 +172,7 @@ impl RemotePoses {
                 }
                 // Half hidden, or carried: where it was a moment ago still says where to look.
                 (Err(_), Some((_, pose))) => {
-                    let seen = check(&mut self.painter, frame, &object.model, &pose, None);
+                    let seen = check(&mut self.painter, frame, &object.model, &pose, None, None);
                     seen.pixels.iter().for_each(|(pixel, _)| mask[*pixel] = 255);
                 }
                 (Err(why), None) => {
@@ -250,7 +250,8 @@ impl RemotePoses {
                 }
                 State::Answered(pose) => {
                     let mask = object.mask.as_ref();
-                    let c = check(&mut self.painter, frame, &object.model, pose, mask);
+                    let table = self.masks.table.as_ref();
+                    let c = check(&mut self.painter, frame, &object.model, pose, mask, table);
                     if c.confidence() < self.config.min_confidence {
                         self.counts.disagreeing += 1;
                         not(format!(
