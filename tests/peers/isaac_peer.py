@@ -289,7 +289,7 @@ def check_graph(stage, binaries, model, patience):
               stage.scores())
         check("every estimator got four inputs of one stamp",
               all(e.paired > 0 for e in stage.estimators), [e.paired for e in stage.estimators])
-        tracked = stage.spin(20.0, lambda: all(stage.error(n) < 0.005 for n in OBJECTS))
+        tracked = stage.spin(20.0, lambda: all(stage.error(n) < 0.01 for n in OBJECTS))
         check("the tracker has them where the lab has", tracked, {n: stage.error(n) for n in OBJECTS})
         stage.world.look()
         check("an overlay comes when somebody looks",
