@@ -1,4 +1,4 @@
-//! The graph beside rclpy, our bags beside `rosbags`, the virtual controller and gripper under ur_rtde
+//! The graph beside rclpy, and with estimators like Isaac's; our bags beside `rosbags`, the virtual controller and gripper under ur_rtde
 //! and pyrobotiqur, the driver's surface against the official driver's, its serial line beside robotiq2f.
 
 use std::path::PathBuf;
@@ -36,6 +36,14 @@ fn rclpy_and_rosbags_agree_with_the_whole_graph() {
     let _machine = machine();
     let binaries = program("tdv").parent().unwrap().display().to_string();
     passes("tests/peers/graph_peer.py", &[&binaries, model.to_str().unwrap()]);
+}
+
+#[test]
+fn estimators_with_the_interface_of_isaac_replace_the_classical_chain() {
+    let Some(model) = model() else { return };
+    let _machine = machine();
+    let binaries = program("tdv").parent().unwrap().display().to_string();
+    passes("tests/peers/isaac_peer.py", &[&binaries, model.to_str().unwrap()]);
 }
 
 #[test]

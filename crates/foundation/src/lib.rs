@@ -13,6 +13,7 @@ pub mod pose;
 pub mod text_image;
 mod weights;
 
-pub use availability::{Availability, availability};
+pub use availability::availability;
 pub use error::FoundationError;
+pub use tdv_perception::availability::Availability;
 pub use weights::Weights;

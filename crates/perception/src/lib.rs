@@ -4,16 +4,19 @@
 //! Frames: camera poses are in the optical frame (x right, y down, z forward), metres.
 //! `T_a_b` is the pose of b in a.
 
+pub mod availability;
 pub mod backend;
 pub mod catalogue;
 pub mod color;
 mod frame;
 pub mod hands;
 pub mod objects;
+pub mod overlay;
 pub mod perceiver;
 mod points;
 pub mod prompt;
 pub mod register;
+pub mod remote;
 pub mod segment;
 pub mod table;
 #[cfg(test)]

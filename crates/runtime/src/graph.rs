@@ -72,6 +72,16 @@ impl Node {
         readers.chain(writers).collect()
     }
 
+    /// Whether any other node reads a topic, for what is made only when somebody looks. Goes through all
+    /// known ends: ask about once a second, not for every message.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Name`].
+    pub fn has_readers(&self, topic: &str) -> Result<bool, RuntimeError> {
+        let dds_name = format!("rt{}", self.resolve(topic)?);
+        Ok(self.endpoints().iter().any(|e| !e.writer && e.dds_name == dds_name))
+    }
+
     /// Starts to observe the graph.
     ///
     /// # Errors

@@ -398,6 +398,9 @@ pub struct DoctorArgs {
     /// Folder of the hand networks
     #[arg(long, default_value = "models/hands")]
     pub hand_models: PathBuf,
+    /// Folder of the learned perception backends' folders
+    #[arg(long, default_value = "models")]
+    pub models: PathBuf,
     /// Object catalogue
     #[arg(long, default_value = "config/objects")]
     pub objects: PathBuf,

@@ -3,6 +3,7 @@ use std::net::TcpListener;
 use std::path::Path;
 use std::process::Command;
 use tdv_perception::Catalogue;
+use tdv_perception::availability::availability;
 use tdv_perception::hands::HandDetector;
 use tdv_policy::text::{Pooling, TextEncoder};
 use tdv_runtime::Environment;
@@ -55,6 +56,11 @@ pub fn run(args: &DoctorArgs) -> anyhow::Result<bool> {
             .map_err(|e| format!("{e}; launch_scripts/fetch_text_model.sh gets one")),
         false,
     );
+    // The classical chain runs without any of them.
+    for found in availability(&args.models) {
+        f.say(&format!("learned backend {}", found.backend), found.state, false);
+    }
+    f.say("onnxruntime", onnxruntime(), false);
     for (what, port) in [("RTDE", 30004), ("gripper", 63352), ("dashboard", 29999)] {
         f.say(
             &format!("{what} port {port} on 127.0.0.1"),
@@ -82,4 +88,17 @@ fn catalogue(folder: &Path) -> Result<String, String> {
     let catalogue = Catalogue::load(folder).map_err(|e| e.to_string())?;
     let names: Vec<&str> = catalogue.models.iter().map(|m| m.name.as_str()).collect();
     Ok(names.join(", "))
+}
+
+/// The library that GroundingDINO and SAM2 run in, where the feature `onnx` of tdv-foundation looks for it.
+fn onnxruntime() -> Result<String, String> {
+    let how = "launch_scripts/fetch_onnxruntime.sh gets it and prints the line that sets it";
+    let path = std::env::var_os("ORT_DYLIB_PATH")
+        .ok_or_else(|| format!("ORT_DYLIB_PATH is not set; {how}"))?;
+    let path = Path::new(&path);
+    if path.is_file() {
+        Ok(path.display().to_string())
+    } else {
+        Err(format!("ORT_DYLIB_PATH names {}, which is no file; {how}", path.display()))
+    }
 }

@@ -3,6 +3,8 @@
 mod frames;
 mod node;
 mod params;
+mod picture;
+mod remote;
 
 fn main() -> std::process::ExitCode {
     tdv_runtime::run("perception_bridge", node::perceive)

@@ -1,5 +1,7 @@
 use crate::frames::{Order, Turn, from_the_future};
-use crate::params::BridgeParameters;
+use crate::params::{Backend, BridgeParameters};
+use crate::picture::Picture;
+use crate::remote::Remote;
 use anyhow::{Context as _, bail};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -10,7 +12,7 @@ use tdv_msgs::sensor_msgs::msg::{CameraInfo, CompressedImage, Image};
 use tdv_msgs::std_msgs::msg::Header;
 use tdv_msgs::std_srvs::srv::{Trigger, TriggerResponse};
 use tdv_msgs::vision_msgs::msg::Detection3DArray;
-use tdv_perception::{Catalogue, ObjectModel, Perceiver, PerceptionOutput, RgbdFrame};
+use tdv_perception::{Catalogue, FrameError, ObjectModel, Perceiver, PerceptionOutput, RgbdFrame};
 use tdv_rendering::{DepthImage, Intrinsics, RgbImage};
 use tdv_runtime::{
     Inbox, Level, Node, Params, Publisher, Qos, Sender, StampMatcher, convert, inbox, tracked,
@@ -42,6 +44,9 @@ struct Work {
     node: Node,
     params: BridgeParameters,
     perceiver: Perceiver,
+    /// In place of the perceiver.
+    remote: Option<Remote>,
+    picture: Picture,
     pairs: Inbox<Pair>,
     camera_info: Inbox<CameraInfo>,
     intrinsics: Option<Intrinsics>,
@@ -91,8 +96,14 @@ pub async fn perceive(node: Node, params: Params<BridgeParameters>) -> anyhow::R
         flag.store(true, Ordering::SeqCst);
         async { TriggerResponse { success: true, message: "all objects are searched anew".into() } }
     })?;
+    let perceiver = Perceiver::new(p.perceiver.clone(), models);
+    let remote = (p.backend() == Some(Backend::Remote))
+        .then(|| Remote::new(&node, &p.remote, &perceiver))
+        .transpose()?;
     let work = Work {
-        perceiver: Perceiver::new(p.perceiver.clone(), models),
+        remote,
+        picture: Picture::new(&node, &p.backend, &perceiver)?,
+        perceiver,
         pairs,
         camera_info: node.newest(&p.camera_info_topic, Qos::sensor_data())?,
         intrinsics: None,
@@ -272,12 +283,15 @@ impl Work {
     fn process(&mut self, header: &Header, frame: &RgbdFrame) {
         if self.again.swap(false, Ordering::SeqCst) {
             self.perceiver.reregister("");
+            if let Some(remote) = &mut self.remote {
+                remote.forget();
+            }
             self.frozen = None;
         }
         let began = Instant::now();
         let output = match (&self.frozen, self.params.freeze_after_first) {
             (Some(frozen), true) => PerceptionOutput { stamp: frame.stamp, ..frozen.clone() },
-            _ => match self.perceiver.step(frame) {
+            _ => match self.look(header, frame) {
                 Ok(output) => output,
                 Err(e) => {
                     let sentence = format!("frame of {:.3} s: {e}", frame.stamp.as_secs());
@@ -289,10 +303,12 @@ impl Work {
         if self.frozen.is_none() && output.detections.iter().all(|d| d.found) {
             self.frozen = Some(output.clone());
         }
+        let seconds = began.elapsed().as_secs_f64();
         self.publish(header, frame, &output);
         let diagnostics = self.node.diagnostics();
-        diagnostics.latency("perception", began.elapsed().as_secs_f64());
+        diagnostics.latency("perception", seconds);
         diagnostics.latency("image_to_detections", self.node.now().since(frame.stamp));
+        self.picture.show(header, frame, &output, seconds);
         let missing: Vec<String> = output
             .detections
             .iter()
@@ -303,6 +319,13 @@ impl Work {
             diagnostics.level(Level::Ok, "all objects are seen");
         } else {
             diagnostics.level(Level::Warn, missing.join("; "));
+        }
+    }
+
+    fn look(&mut self, header: &Header, frame: &RgbdFrame) -> Result<PerceptionOutput, FrameError> {
+        match &mut self.remote {
+            Some(remote) => remote.step(header, frame),
+            None => self.perceiver.step(frame),
         }
     }
 

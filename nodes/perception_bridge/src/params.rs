@@ -1,6 +1,35 @@
 use serde::{Deserialize, Serialize};
 use tdv_perception::PerceiverConfig;
+use tdv_perception::remote::RemoteConfig;
 use tdv_runtime::Parameters;
+
+/// Who finds the poses.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Backend {
+    /// crates/perception, in this process.
+    Classical,
+    /// Nodes with the interface of Isaac ROS FoundationPose.
+    Remote,
+}
+
+/// The words of the parameter `backend`.
+const BACKENDS: [(&str, Backend); 2] =
+    [("classical", Backend::Classical), ("remote", Backend::Remote)];
+
+/// Where the remote estimators are, and how long they are waited for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RemoteParameters {
+    pub namespace: String,
+    pub patience: f64,
+    pub belief: RemoteConfig,
+}
+
+impl Default for RemoteParameters {
+    fn default() -> Self {
+        Self { namespace: "/isaac".into(), patience: 0.3, belief: RemoteConfig::default() }
+    }
+}
 
 /// Parameters of the node.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -17,6 +46,8 @@ pub struct BridgeParameters {
     pub every_frame: bool,
     pub freeze_after_first: bool,
     pub publish_segmentation: bool,
+    pub backend: String,
+    pub remote: RemoteParameters,
     pub perceiver: PerceiverConfig,
 }
 
@@ -34,12 +65,19 @@ impl Default for BridgeParameters {
             every_frame: false,
             freeze_after_first: false,
             publish_segmentation: true,
+            backend: "classical".into(),
+            remote: RemoteParameters::default(),
             perceiver: PerceiverConfig::default(),
         }
     }
 }
 
 impl BridgeParameters {
+    /// The backend that `backend` names; none for another word, which [`Parameters::validate`] refuses.
+    pub fn backend(&self) -> Option<Backend> {
+        BACKENDS.iter().find(|(word, _)| *word == self.backend).map(|(_, backend)| *backend)
+    }
+
     /// Factor by which an object's mesh is scaled, 1 unless `mesh_scales` says otherwise.
     pub fn mesh_scale(&self, object: &str) -> f64 {
         self.mesh_scales
@@ -57,6 +95,23 @@ impl Parameters for BridgeParameters {
         if !(self.sync_tolerance.is_finite() && self.sync_tolerance >= 0.0) {
             problems
                 .push(format!("'sync_tolerance' is {}: seconds, 0 or more", self.sync_tolerance));
+        }
+        if self.backend().is_none() {
+            let words = BACKENDS.map(|(word, _)| word).join(", ");
+            problems.push(format!("'backend' is {:?}: one of {words}", self.backend));
+        }
+        let patience = self.remote.patience;
+        if !(patience > 0.0 && patience <= 60.0) {
+            problems.push(format!("'remote.patience' is {patience}: seconds, above 0, at most 60"));
+        }
+        if !self.remote.namespace.starts_with('/') || self.remote.namespace.ends_with('/') {
+            let namespace = &self.remote.namespace;
+            problems.push(format!("'remote.namespace' is {namespace:?}: as /isaac"));
+        }
+        let least = self.remote.belief.min_confidence;
+        // Every pose would do at 0, also one that nothing speaks for.
+        if !(least > 0.0 && least <= 1.0) {
+            problems.push(format!("'remote.belief.min_confidence' is {least}: above 0, at most 1"));
         }
         for entry in &self.mesh_scales {
             let scale = entry.split_once(':').and_then(|(_, s)| s.parse::<f64>().ok());
@@ -79,8 +134,51 @@ impl Parameters for BridgeParameters {
             "every_frame" => "process every frame in order (replay) instead of the newest (live)",
             "freeze_after_first" => "control experiment: repeat the first complete result for ever",
             "publish_segmentation" => "publish the label image on ~/segmentation",
+            "backend" => {
+                "classical, or remote: nodes with the interface of Isaac ROS FoundationPose"
+            }
+            "remote.namespace" => {
+                "images go to NS/pose_estimation, masks to NS/OBJECT/pose_estimation"
+            }
+            "remote.patience" => {
+                "seconds that an answer is waited for; more for a first pose on a slow GPU"
+            }
+            "remote.belief.min_confidence" => {
+                "agreement (0..1) with depth and mask below which an answer is no detection"
+            }
+            "remote.belief.hold" => {
+                "age (s) up to which the last believed pose is the mask where none is found"
+            }
             "perceiver.prompt" => "text that names the objects, such as the task's instruction",
             _ => "",
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_backend_is_refused_with_the_list() {
+        let mut p = BridgeParameters::default();
+        assert_eq!((p.backend(), p.validate()), (Some(Backend::Classical), Vec::new()));
+        p.backend = "remote".into();
+        assert_eq!((p.backend(), p.validate()), (Some(Backend::Remote), Vec::new()));
+        p.backend = "isaac".into();
+        assert_eq!(p.validate(), ["'backend' is \"isaac\": one of classical, remote"]);
+    }
+
+    #[test]
+    fn remote_settings_that_cannot_be_are_named() {
+        let mut p = BridgeParameters::default();
+        p.remote.patience = f64::NAN;
+        p.remote.namespace = "isaac/".into();
+        p.remote.belief.min_confidence = 0.0;
+        let problems = p.validate();
+        for (problem, name) in problems.iter().zip(["patience", "namespace", "min_confidence"]) {
+            assert!(problem.contains(name), "{problem}");
+        }
+        assert_eq!(problems.len(), 3);
     }
 }

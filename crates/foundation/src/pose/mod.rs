@@ -16,18 +16,11 @@ pub use backend::PoseBackend;
 pub use estimator::{PoseConfig, PoseEstimator, PoseFound, Rank, Refine};
 pub use networks::{RefineNet, ScoreNet};
 pub use target::Target;
+pub use tdv_perception::availability::{POSE_HINT as HINT, REFINER_FILE, SCORER_FILE};
 
 use crate::{FoundationError, Weights};
 use candle_core::Device;
 use std::path::Path;
-
-/// The refiner's file in the model folder.
-pub const REFINER_FILE: &str = "foundationpose_refiner.safetensors";
-/// The scorer's file in the model folder.
-pub const SCORER_FILE: &str = "foundationpose_scorer.safetensors";
-/// How to get the weights, and the licence that they are under.
-pub const HINT: &str = "Fetch the released FoundationPose checkpoints (NVIDIA Source Code License: \
-    research and evaluation only) and run launch_scripts/convert_foundationpose.py";
 
 /// Loads both networks from a folder.
 ///

@@ -147,6 +147,15 @@ impl Perceiver {
         self.objects.iter().map(|o| o.model.name.as_str()).collect()
     }
 
+    /// The wanted models, in the order of the detections.
+    pub fn models(&self) -> impl Iterator<Item = Arc<ObjectModel>> + '_ {
+        self.objects.iter().map(|o| o.model.clone())
+    }
+
+    pub(crate) fn config(&self) -> &PerceiverConfig {
+        &self.config
+    }
+
     /// What the prompt asked for, and what of it is not in the catalogue.
     pub fn prompt(&self) -> &Prompt {
         &self.prompt
@@ -312,7 +321,7 @@ impl Perceiver {
     }
 }
 
-fn missing(name: &str, reason: String) -> Detection {
+pub(crate) fn missing(name: &str, reason: String) -> Detection {
     Detection {
         name: name.to_owned(),
         pose: Pose::identity(),
@@ -420,7 +429,12 @@ fn find(
 }
 
 /// A cluster's mask in a window that leaves room for the unseen part of the object.
-fn window_mask(scene: &Scene, cluster: &Cluster, frame: &RgbdFrame, model: &ObjectModel) -> Mask {
+pub(crate) fn window_mask(
+    scene: &Scene,
+    cluster: &Cluster,
+    frame: &RgbdFrame,
+    model: &ObjectModel,
+) -> Mask {
     let k = &frame.intrinsics;
     let span = cluster.length.max(cluster.top).max(0.05) * k.fx / cluster.centroid.z.max(0.1);
     scene.mask(cluster, (0.35 * span) as i32 + 4, frame, model)

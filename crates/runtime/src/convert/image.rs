@@ -173,6 +173,19 @@ pub fn image_from_depth(depth: &DepthImage, header: Header) -> Image {
     }
 }
 
+/// A 32FC1 message (metres, 0 where nothing was measured, little endian).
+pub fn image_from_depth_in_metres(depth: &DepthImage, header: Header) -> Image {
+    Image {
+        header,
+        height: depth.height,
+        width: depth.width,
+        encoding: "32FC1".into(),
+        is_bigendian: 0,
+        step: depth.width * 4,
+        data: depth.data.iter().flat_map(|z| z.to_le_bytes()).collect(),
+    }
+}
+
 /// A mono8 message from one octet a pixel.
 pub fn image_from_labels(width: u32, height: u32, labels: &[u8], header: Header) -> Image {
     Image {
@@ -338,6 +351,8 @@ mod tests {
         let depth = DepthImage::from_millimetres(3, 1, &[0, 500, 65535]).expect("size");
         let back = depth_from_image("t", &image_from_depth(&depth, Header::default()));
         assert_eq!(back.expect("raw"), depth);
+        let metres = image_from_depth_in_metres(&depth, Header::default());
+        assert_eq!(depth_from_image("t", &metres).expect("metres"), depth);
         let back = depth_from_compressed("t", &compressed_from_depth(&depth, Header::default()));
         assert_eq!(back.expect("png"), depth);
         let flat = RgbImage::from_pixel(16, 16, image_pixel(3, 2));

@@ -131,11 +131,15 @@ const STREAM: &str = "command_";
 /// What the lab says of mishaps.
 const INCIDENTS: [&str; 2] = ["table_hits", "stopped_itself"];
 
-/// What a bag of a run leaves out: images at full rate. The runner writes its pictures instead.
-const TOO_MUCH: [&str; 3] = [
+/// What a bag of a run leaves out: images at full rate, and what would only be drawn for it. The runner
+/// writes its pictures instead.
+const TOO_MUCH: [&str; 6] = [
     "/camera/camera/color/image_raw",
     "/camera/camera/aligned_depth_to_color/image_raw",
     "/perception_bridge/segmentation",
+    "/perception_bridge/overlay",
+    "/isaac/pose_estimation/image",
+    "/isaac/pose_estimation/depth_image",
 ];
 
 struct Watch {
