@@ -4,15 +4,20 @@
 //! Frames: camera poses are in the optical frame (x right, y down, z forward), metres.
 //! `T_a_b` is the pose of b in a.
 
+mod average;
+pub mod candidates;
 pub mod catalogue;
 pub mod color;
+pub mod entry;
 mod frame;
 pub mod hands;
 pub mod objects;
 pub mod perceiver;
 mod points;
 pub mod prompt;
+pub mod reconstruct;
 pub mod register;
+pub mod scale;
 pub mod segment;
 pub mod table;
 #[cfg(test)]
@@ -21,6 +26,7 @@ pub mod track;
 mod view;
 pub mod visp;
 
+pub use average::average_frames;
 pub use catalogue::{Catalogue, CatalogueError, ObjectModel, Resting};
 pub use frame::{DepthStatus, FARTHEST_M, FrameError, NEAREST_M, RgbdFrame};
 pub use perceiver::{Detection, Perceiver, PerceiverConfig, PerceptionOutput};

@@ -9,6 +9,7 @@ mod faults;
 mod graph;
 mod launch;
 mod motion;
+mod object;
 mod observe;
 mod picture;
 mod record;
@@ -17,7 +18,7 @@ mod report;
 mod teach;
 mod tracking;
 
-use arguments::{Arguments, BagCommand, Command, EvalCommand};
+use arguments::{Arguments, BagCommand, Command, EvalCommand, ObjectCommand};
 use clap::Parser as _;
 use std::process::ExitCode;
 
@@ -34,6 +35,7 @@ fn main() -> ExitCode {
         Command::Eval(EvalCommand::ClosedLoop(a)) => eval::closed_loop(&a),
         Command::Eval(EvalCommand::Faults(a)) => faults::campaign(&a),
         Command::Eval(EvalCommand::Tracking(a)) => tracking::run(&a),
+        Command::Object(ObjectCommand::Add(a)) => object::add(&a).map(|()| true),
         Command::Bag(BagCommand::Info { bag }) => bag::info(&bag).map(|()| true),
         Command::Doctor(a) => doctor::run(&a),
         Command::Graph(a) => graph::run(&a).map(|()| true),
