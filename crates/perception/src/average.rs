@@ -8,10 +8,8 @@ use tdv_rendering::{DepthImage, RgbImage};
 /// `None` without any frame.
 pub fn average_frames(frames: &[RgbdFrame]) -> Option<RgbdFrame> {
     let first = frames.first().filter(|f| f.check().is_ok())?;
-    let same: Vec<&RgbdFrame> = frames
-        .iter()
-        .filter(|f| f.intrinsics == first.intrinsics && f.check().is_ok())
-        .collect();
+    let same: Vec<&RgbdFrame> =
+        frames.iter().filter(|f| f.intrinsics == first.intrinsics && f.check().is_ok()).collect();
     let n = first.depth.data.len();
     let mut depth = DepthImage::new(first.depth.width, first.depth.height);
     let mut readings = Vec::with_capacity(same.len());

@@ -26,7 +26,9 @@ pub enum CandidateError {
         seen: String,
     },
     /// More than one.
-    #[error("several things fit: {seen}; name a colour (--prompt \"the red one\") or leave one only")]
+    #[error(
+        "several things fit: {seen}; name a colour (--prompt \"the red one\") or leave one only"
+    )]
     Several {
         /// What there is.
         seen: String,

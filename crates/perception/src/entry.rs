@@ -59,8 +59,7 @@ pub fn save_entry(
     file: &ObjectFile,
     comment: &str,
 ) -> Result<(), ObjectError> {
-    std::fs::create_dir_all(dir)
-        .map_err(|source| ObjectError::Io { path: dir.into(), source })?;
+    std::fs::create_dir_all(dir).map_err(|source| ObjectError::Io { path: dir.into(), source })?;
     mesh.save_glb(&dir.join(&file.mesh))?;
     file.save(dir, comment)
 }

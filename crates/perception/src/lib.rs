@@ -10,6 +10,7 @@ pub mod catalogue;
 pub mod color;
 pub mod entry;
 mod frame;
+pub mod hand_eye;
 pub mod hands;
 pub mod objects;
 pub mod perceiver;

@@ -27,6 +27,8 @@ pub enum Command {
     /// Work on the object catalogue
     #[command(subcommand)]
     Object(ObjectCommand),
+    /// Find the camera's pose from pairs of a tool pose and a target seen (hand-eye calibration)
+    Calibrate(CalibrateArgs),
     /// Look into bags
     #[command(subcommand)]
     Bag(BagCommand),
@@ -281,6 +283,19 @@ pub struct ObjectAddArgs {
     /// Replace an entry of this name
     #[arg(long)]
     pub force: bool,
+}
+
+#[derive(Args)]
+pub struct CalibrateArgs {
+    /// YAML list of base_tool and camera_target, each with xyz (m) and xyzw (quaternion)
+    #[arg(long)]
+    pub poses: PathBuf,
+    /// The camera is on the tool and the target fixed; without: the other way round
+    #[arg(long)]
+    pub eye_in_hand: bool,
+    /// The camera's optical frame
+    #[arg(long, default_value = "camera_color_optical_frame")]
+    pub camera_frame: String,
 }
 
 #[derive(Subcommand)]

@@ -2,6 +2,7 @@
 
 mod arguments;
 mod bag;
+mod calibrate;
 mod demo;
 mod doctor;
 mod eval;
@@ -36,6 +37,7 @@ fn main() -> ExitCode {
         Command::Eval(EvalCommand::Faults(a)) => faults::campaign(&a),
         Command::Eval(EvalCommand::Tracking(a)) => tracking::run(&a),
         Command::Object(ObjectCommand::Add(a)) => object::add(&a).map(|()| true),
+        Command::Calibrate(a) => calibrate::run(&a).map(|()| true),
         Command::Bag(BagCommand::Info { bag }) => bag::info(&bag).map(|()| true),
         Command::Doctor(a) => doctor::run(&a),
         Command::Graph(a) => graph::run(&a).map(|()| true),

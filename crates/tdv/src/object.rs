@@ -10,9 +10,7 @@ use tdv_perception::reconstruct::{ReconstructConfig, Reconstruction};
 use tdv_perception::scale::{ScaleConfig, ScaleReport, estimate_scale};
 use tdv_perception::{ObjectModel, RgbdFrame, Tracker, TrackerConfig, average_frames};
 use tdv_rendering::shape::{find_symmetry, standing};
-use tdv_rendering::{
-    Instance, Intrinsics, Lighting, Mesh, Rendered, Renderer, RgbImage, look_at,
-};
+use tdv_rendering::{Instance, Intrinsics, Lighting, Mesh, Rendered, Renderer, RgbImage, look_at};
 use tdv_runtime::camera_bag::CameraBag;
 
 /// Larger meshes are thinned out: the tracker draws them several times a frame.
@@ -66,7 +64,11 @@ pub fn add(args: &ObjectAddArgs) -> anyhow::Result<()> {
     println!("parts:     {} for collisions", file.collision.len());
     let guess = if args.mass.is_none() { " (a guess)" } else { "" };
     println!("mass:      {} kg{guess}", file.mass);
-    println!("mesh:      {} triangles, {}", mesh.triangles.len(), folder.join(&file.mesh).display());
+    println!(
+        "mesh:      {} triangles, {}",
+        mesh.triangles.len(),
+        folder.join(&file.mesh).display()
+    );
     println!("pictures:  {}, {}", picture.display(), sheet.display());
     Ok(())
 }
@@ -135,7 +137,9 @@ fn from_mesh(
 fn report_symmetry(mesh: &Mesh) -> Symmetry {
     let found = find_symmetry(mesh, SEED);
     if found.colors_differ {
-        println!("note:      the shape is symmetric, the colours are not: poses count as equal all the same");
+        println!(
+            "note:      the shape is symmetric, the colours are not: poses count as equal all the same"
+        );
     }
     found.symmetry
 }
@@ -210,7 +214,11 @@ fn from_views(bag: &Path, args: &ObjectAddArgs) -> anyhow::Result<(Mesh, Symmetr
     };
     let symmetry = report_symmetry(&mesh);
     let name = bag.file_name().unwrap_or_default().to_string_lossy();
-    Ok((mesh, symmetry, format!("from views in {name}; the unseen side was made with {}", shape.assumed())))
+    Ok((
+        mesh,
+        symmetry,
+        format!("from views in {name}; the unseen side was made with {}", shape.assumed()),
+    ))
 }
 
 /// Follows the object through the rest of the recording and lets every sure view cut.

@@ -44,8 +44,7 @@ impl Field {
         let count = |extent: f64| (extent / step).ceil() as usize + 5;
         let size = [count(2.2 * reach[0]), count(2.2 * reach[1]), count(top * 1.05)];
         let total = size.iter().product();
-        let mut out =
-            Self { size, low, step, inside: vec![0.0; total], through: vec![0; total] };
+        let mut out = Self { size, low, step, inside: vec![0.0; total], through: vec![0; total] };
         let mut values = Vec::with_capacity(images.len());
         // One image of many may be wrong by noise: the second smallest decides for round things.
         let rank = images.len() / 16;
@@ -74,7 +73,11 @@ impl Field {
 
     /// Whether a corner is solid after the later views.
     pub fn value(&self, i: usize, votes: u16) -> f32 {
-        if self.through[i] >= votes { self.inside[i].min(-0.3 * self.step as f32) } else { self.inside[i] }
+        if self.through[i] >= votes {
+            self.inside[i].min(-0.3 * self.step as f32)
+        } else {
+            self.inside[i]
+        }
     }
 
     pub fn see_through(&mut self, frame: &RgbdFrame, t_camera_object: &Pose, margin: f64) {
@@ -115,7 +118,8 @@ impl Field {
                 count += 1;
                 let at = [i % w, i / w % h, i / (w * h)];
                 for (k, (stride, size)) in [(1, w), (w, h), (w * h, d)].into_iter().enumerate() {
-                    let near = [(at[k] > 0).then(|| i - stride), (at[k] + 1 < size).then(|| i + stride)];
+                    let near =
+                        [(at[k] > 0).then(|| i - stride), (at[k] + 1 < size).then(|| i + stride)];
                     for j in near.into_iter().flatten() {
                         if piece[j] == 0 && self.inside[j] > 0.0 {
                             piece[j] = number;

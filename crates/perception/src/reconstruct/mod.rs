@@ -51,7 +51,9 @@ impl Default for ReconstructConfig {
 #[derive(Debug, Error, Clone, PartialEq, Eq)]
 pub enum ReconstructError {
     /// Too little was measured.
-    #[error("only {points} depth readings on the object, {needed} are needed: move the camera nearer")]
+    #[error(
+        "only {points} depth readings on the object, {needed} are needed: move the camera nearer"
+    )]
     Sparse {
         /// Readings.
         points: usize,
@@ -90,7 +92,8 @@ impl Reconstruction {
     ) -> Result<Self, ReconstructError> {
         // An upright frame under the middle of what is seen; the symmetry moves it to the axis.
         let seen = table.pose.inverse_transform_point(&thing.cluster.centroid);
-        let foot = Pose::from_parts(Translation3::new(seen.x, seen.y, 0.0), UnitQuaternion::identity());
+        let foot =
+            Pose::from_parts(Translation3::new(seen.x, seen.y, 0.0), UnitQuaternion::identity());
         let mut view = View::new(frame, &thing.mask, table.pose * foot);
         let points = view.points().len();
         if points < LEAST_POINTS {
@@ -98,8 +101,16 @@ impl Reconstruction {
         }
         let found = Search::new(&view).run();
         view.move_frame(&found.axis());
-        let field = Field::new(&view, &found.assumed, config.cells).ok_or(ReconstructError::Nothing)?;
-        Ok(Self { config, assumed: found.assumed, violation: found.violation, view, field, later: 0 })
+        let field =
+            Field::new(&view, &found.assumed, config.cells).ok_or(ReconstructError::Nothing)?;
+        Ok(Self {
+            config,
+            assumed: found.assumed,
+            violation: found.violation,
+            view,
+            field,
+            later: 0,
+        })
     }
 
     /// `T_camera_object` in the first view.

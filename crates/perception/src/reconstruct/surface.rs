@@ -55,9 +55,18 @@ pub(super) fn extract(field: &Field, votes: u16) -> Mesh {
             for x in 1..w - 1 {
                 let here = value(x, y, z) > 0.0;
                 let edges = [
-                    (value(x + 1, y, z) > 0.0, [at(x, y - 1, z - 1), at(x, y, z - 1), at(x, y, z), at(x, y - 1, z)]),
-                    (value(x, y + 1, z) > 0.0, [at(x - 1, y, z - 1), at(x - 1, y, z), at(x, y, z), at(x, y, z - 1)]),
-                    (value(x, y, z + 1) > 0.0, [at(x - 1, y - 1, z), at(x, y - 1, z), at(x, y, z), at(x - 1, y, z)]),
+                    (
+                        value(x + 1, y, z) > 0.0,
+                        [at(x, y - 1, z - 1), at(x, y, z - 1), at(x, y, z), at(x, y - 1, z)],
+                    ),
+                    (
+                        value(x, y + 1, z) > 0.0,
+                        [at(x - 1, y, z - 1), at(x - 1, y, z), at(x, y, z), at(x, y, z - 1)],
+                    ),
+                    (
+                        value(x, y, z + 1) > 0.0,
+                        [at(x - 1, y - 1, z), at(x, y - 1, z), at(x, y, z), at(x - 1, y, z)],
+                    ),
                 ];
                 for (there, mut q) in edges {
                     if here == there || q.contains(&u32::MAX) {
@@ -96,7 +105,8 @@ fn smooth(mesh: &mut Mesh) {
                     continue;
                 }
                 for k in 0..3 {
-                    let mean = near.iter().map(|i| old[*i as usize][k]).sum::<f32>() / near.len() as f32;
+                    let mean =
+                        near.iter().map(|i| old[*i as usize][k]).sum::<f32>() / near.len() as f32;
                     p[k] += weight * (mean - p[k]);
                 }
             }

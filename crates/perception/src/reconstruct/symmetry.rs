@@ -151,7 +151,8 @@ impl<'a> Search<'a> {
         let mut ranked: Vec<(f64, [f64; 3])> = Vec::new();
         for depth in -4..=10 {
             for side in -4..=4 {
-                let (d, s) = (f64::from(depth) * 0.15 * self.half, f64::from(side) * 0.15 * self.half);
+                let (d, s) =
+                    (f64::from(depth) * 0.15 * self.half, f64::from(side) * 0.15 * self.half);
                 let (x, y) =
                     (d * self.away[0] - s * self.away[1], d * self.away[1] + s * self.away[0]);
                 for angle in &angles {
@@ -171,7 +172,13 @@ impl<'a> Search<'a> {
     }
 
     /// Greedy steps that shrink.
-    fn refine(&self, images: &[Image], mut cost: f64, mut at: [f64; 3], turns: bool) -> (f64, [f64; 3]) {
+    fn refine(
+        &self,
+        images: &[Image],
+        mut cost: f64,
+        mut at: [f64; 3],
+        turns: bool,
+    ) -> (f64, [f64; 3]) {
         let mut shift = 0.08 * self.half;
         while shift > 0.0002 {
             let mut better = false;

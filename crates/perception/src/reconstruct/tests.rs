@@ -44,18 +44,25 @@ fn make(seed: u64, truth: &Mesh, pose: Pose) -> Made {
 
 #[test]
 fn one_view_gives_the_whole_of_a_symmetric_thing() {
-    let profile = [[0.0, 0.0], [0.033, 0.0], [0.033, 0.11], [0.014, 0.15], [0.014, 0.18], [0.0, 0.18]];
+    let profile =
+        [[0.0, 0.0], [0.033, 0.0], [0.033, 0.11], [0.014, 0.15], [0.014, 0.18], [0.0, 0.18]];
     let bottle = primitives::lathe(&profile, 48, &[[220, 180, 40]]);
     let boxy = standing(&primitives::cuboid([0.11, 0.06, 0.08], [190, 50, 40]));
     for (i, (name, truth, assumed)) in
-        [("bottle", bottle, Assumed::Round), ("box", boxy, Assumed::TwoPlanes)].into_iter().enumerate()
+        [("bottle", bottle, Assumed::Round), ("box", boxy, Assumed::TwoPlanes)]
+            .into_iter()
+            .enumerate()
     {
         let made = make(3, &truth, upright(0.47, 0.05, 0.0, 0.5 + i as f64));
         let ratio = made.mesh.volume() / truth.volume();
         let t = made.mesh.topology();
         println!(
             "{name}: {}, violation {:.3}, off {:.1} mm mean {:.1} mm p95, volume x{ratio:.2}, {} triangles, {t:?}",
-            made.assumed, made.violation, made.off.0 * 1e3, made.off.1 * 1e3, made.mesh.triangles.len()
+            made.assumed,
+            made.violation,
+            made.off.0 * 1e3,
+            made.off.1 * 1e3,
+            made.mesh.triangles.len()
         );
         assert_eq!(made.assumed, assumed, "{name}");
         assert!(made.off.0 < 0.003 && made.off.1 < 0.007, "{name}: {:?}", made.off);
@@ -70,8 +77,12 @@ fn a_mug_keeps_its_handle() {
     let made = make(4, &truth, upright(0.47, 0.0, 0.0, 1.1));
     println!(
         "mug: {}, violation {:.3}, off {:.1} mm mean {:.1} mm p95, volume {:.0} of {:.0} cm3",
-        made.assumed, made.violation, made.off.0 * 1e3, made.off.1 * 1e3,
-        made.mesh.volume() * 1e6, truth.volume() * 1e6
+        made.assumed,
+        made.violation,
+        made.off.0 * 1e3,
+        made.off.1 * 1e3,
+        made.mesh.volume() * 1e6,
+        truth.volume() * 1e6
     );
     assert_ne!(made.assumed, Assumed::Round);
     let (low, high) = made.mesh.bounds();

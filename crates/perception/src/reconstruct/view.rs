@@ -29,7 +29,8 @@ impl View {
         let depth = pixels().map(|(u, v)| smooth(frame, mask, u, v)).collect();
         let color = pixels().map(|(u, v)| frame.color.get_pixel(u as u32, v as u32).0).collect();
         let inside: Vec<bool> = pixels().map(|(u, v)| mask.at(u, v)).collect();
-        let outline = signed_distance(&fill_holes(&inside, w as usize, h as usize), w as usize, h as usize);
+        let outline =
+            signed_distance(&fill_holes(&inside, w as usize, h as usize), w as usize, h as usize);
         Self { k, t_camera_object, depth, color, outline }
     }
 

@@ -193,7 +193,8 @@ fn icp(
         }
         let step = damped.cholesky()?.solve(&g);
         let grow = step[3].clamp(-0.1, 0.1);
-        let turn = nalgebra::UnitQuaternion::from_scaled_axis(table.normal * step[2].clamp(-0.2, 0.2));
+        let turn =
+            nalgebra::UnitQuaternion::from_scaled_axis(table.normal * step[2].clamp(-0.2, 0.2));
         let shift = ex * step[0] + ey * step[1];
         let new_foot = foot + shift;
         scale *= grow.exp();

@@ -126,13 +126,16 @@ pub fn estimate_scale(
         let model = ObjectModel::new("mesh", mesh.scaled(scale), symmetry.clone());
         let Some(found) = search(frame, mask, &model, Some(table), &config.register) else { break };
         let Some(fit) = fit::measure(frame, table, mask, &model, &found.pose) else { break };
-        let estimates: Vec<ScaleEstimate> = fit
-            .into_iter()
-            .map(|e| ScaleEstimate { value: e.value * scale, ..e })
-            .collect();
+        let estimates: Vec<ScaleEstimate> =
+            fit.into_iter().map(|e| ScaleEstimate { value: e.value * scale, ..e }).collect();
         let next = combine(&estimates);
-        let report =
-            ScaleReport { scale: next, spread: spread(&estimates), estimates, pose: found.pose, score: found.score };
+        let report = ScaleReport {
+            scale: next,
+            spread: spread(&estimates),
+            estimates,
+            pose: found.pose,
+            score: found.score,
+        };
         let settled = (next / scale - 1.0).abs() < 0.003;
         if best.as_ref().is_none_or(|b| report.score >= b.score - 0.02) {
             best = Some(report);

@@ -2,11 +2,17 @@ use super::*;
 use crate::average::average_frames;
 use crate::candidates::{candidates, of_color, only};
 use crate::testing::{Lab, coaster_model, mug_model, upright};
-use tdv_rendering::shape::standing;
 use tdv_rendering::mesh::primitives;
+use tdv_rendering::shape::standing;
 
 /// A view of an object, as the mean of ten frames, and what the estimate makes of a mesh.
-fn estimate(seed: u64, seen: &Mesh, pose: Pose, given: &Mesh, symmetry: &Symmetry) -> Result<ScaleReport, ScaleError> {
+fn estimate(
+    seed: u64,
+    seen: &Mesh,
+    pose: Pose,
+    given: &Mesh,
+    symmetry: &Symmetry,
+) -> Result<ScaleReport, ScaleError> {
     let mut lab = Lab::new(seed);
     let frames: Vec<RgbdFrame> = (0..10).map(|_| lab.frame(&[(seen, pose)])).collect();
     let frame = average_frames(&frames).unwrap();
@@ -18,7 +24,8 @@ fn estimate(seed: u64, seen: &Mesh, pose: Pose, given: &Mesh, symmetry: &Symmetr
 #[test]
 fn unit_less_meshes_get_their_size_within_three_per_cent() {
     let bottle = {
-        let profile = [[0.0, 0.0], [0.033, 0.0], [0.033, 0.11], [0.014, 0.15], [0.014, 0.18], [0.0, 0.18]];
+        let profile =
+            [[0.0, 0.0], [0.033, 0.0], [0.033, 0.11], [0.014, 0.15], [0.014, 0.18], [0.0, 0.18]];
         primitives::lathe(&profile, 48, &[[220, 180, 40]])
     };
     let z = Symmetry::Continuous { axis: [0.0, 0.0, 1.0] };
@@ -41,7 +48,13 @@ fn unit_less_meshes_get_their_size_within_three_per_cent() {
             .iter()
             .map(|e| format!("{} {:+.1} %", e.name, (e.value * unit - 1.0) * 100.0))
             .collect();
-        println!("{name}: {:+.2} %, spread {:.1} %, score {:.2}: {}", error * 100.0, report.spread * 100.0, report.score, list.join(", "));
+        println!(
+            "{name}: {:+.2} %, spread {:.1} %, score {:.2}: {}",
+            error * 100.0,
+            report.spread * 100.0,
+            report.score,
+            list.join(", ")
+        );
         assert!(error.abs() < 0.03, "{name}: {error}");
     }
 }

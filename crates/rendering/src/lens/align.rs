@@ -241,13 +241,32 @@ mod tests {
         let color = color.into_luma8();
         let raw = image::open(folder.join("depth_camera_image_200.png")).unwrap().into_luma16();
         let depth = DepthImage::from_millimetres(848, 480, raw.as_raw()).unwrap();
-        let kd =
-            Intrinsics { width: 848, height: 480, fx: 425.773, fy: 425.773, cx: 427.202, cy: 237.662 };
-        let kc =
-            Intrinsics { width: 960, height: 540, fx: 698.128, fy: 698.617, cx: 478.459, cy: 274.426 };
+        let kd = Intrinsics {
+            width: 848,
+            height: 480,
+            fx: 425.773,
+            fy: 425.773,
+            cx: 427.202,
+            cy: 237.662,
+        };
+        let kc = Intrinsics {
+            width: 960,
+            height: 540,
+            fx: 698.128,
+            fy: 698.617,
+            cx: 478.459,
+            cy: 274.426,
+        };
         let m = nalgebra::Matrix3::new(
-            0.99985489, 0.00778240, 0.01509715, -0.00782678, 0.99996543, 0.00288261, -0.01507424,
-            -0.00300036, 0.99988175,
+            0.99985489,
+            0.00778240,
+            0.01509715,
+            -0.00782678,
+            0.99996543,
+            0.00288261,
+            -0.01507424,
+            -0.00300036,
+            0.99988175,
         );
         let turn = tdv_geometry::rotation_from_matrix(&m, 1e-3).unwrap();
         // Mean brightness step across the depth edges, the camera shifted sideways by `x` metres.
@@ -274,7 +293,10 @@ mod tests {
         let (right, filled) = contrast(0.0);
         let (left, _) = contrast(-0.03);
         let (far, _) = contrast(0.03);
-        println!("contrast {right:.1}, shifted {left:.1} and {far:.1}, {:.0} % filled", filled * 100.0);
+        println!(
+            "contrast {right:.1}, shifted {left:.1} and {far:.1}, {:.0} % filled",
+            filled * 100.0
+        );
         assert!(filled > 0.6, "{filled}");
         assert!(right > 1.1 * left && right > 1.1 * far, "{right} {left} {far}");
     }

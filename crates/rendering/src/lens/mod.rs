@@ -79,9 +79,8 @@ impl Lens {
         if let Some((index, value)) = d.iter().enumerate().find(|(_, v)| !v.is_finite()) {
             return Err(LensError::NotFinite { index, value: *value });
         }
-        let count = |expected| {
-            Err(LensError::Count { model: model.into(), count: d.len(), expected })
-        };
+        let count =
+            |expected| Err(LensError::Count { model: model.into(), count: d.len(), expected });
         let at = |i: usize| d.get(i).copied().unwrap_or(0.0);
         let fisheye = matches!(model, "equidistant" | "fisheye");
         if d.is_empty() || (!fisheye && d.iter().all(|v| *v == 0.0)) {

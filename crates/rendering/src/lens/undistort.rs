@@ -94,8 +94,7 @@ impl Undistorter {
                 image.data[y1 * w + x1],
             ];
             let near = four[usize::from(fx > 0.5) + 2 * usize::from(fy > 0.5)];
-            let one_surface =
-                near > 0.0 && four.iter().all(|d| (d - near).abs() < 0.01 * near);
+            let one_surface = near > 0.0 && four.iter().all(|d| (d - near).abs() < 0.01 * near);
             *z = if one_surface {
                 let top = four[0] + fx * (four[1] - four[0]);
                 let bottom = four[2] + fx * (four[3] - four[2]);

@@ -389,7 +389,8 @@ mod tests {
         let e = Mesh::load(&write(dir.path(), "mm.stl", &stl_bytes(&mm))).unwrap_err();
         assert!(e.to_string().contains("looks like millimetres"), "{e}");
         // Without any unit: refused as it is, taken by whoever finds the scale.
-        let unitless = write(dir.path(), "unit.stl", &stl_bytes(&primitives::cuboid([0.9, 1.7, 1.2], [1; 3])));
+        let unitless =
+            write(dir.path(), "unit.stl", &stl_bytes(&primitives::cuboid([0.9, 1.7, 1.2], [1; 3])));
         assert!(matches!(Mesh::load(&unitless), Err(MeshError::Size { .. })));
         assert!((Mesh::load_unscaled(&unitless).unwrap().volume() - 0.9 * 1.7 * 1.2).abs() < 1e-5);
         let tiny = primitives::cuboid([1e-4; 3], [1; 3]);

@@ -81,8 +81,7 @@ fn read(bytes: &[u8]) -> Result<Mesh, String> {
         };
         let place = [find(&["x"]), find(&["y"]), find(&["z"])];
         let normal = [find(&["nx"]), find(&["ny"]), find(&["nz"])];
-        let color =
-            [find(&["red", "r"]), find(&["green", "g"]), find(&["blue", "b"])];
+        let color = [find(&["red", "r"]), find(&["green", "g"]), find(&["blue", "b"])];
         let uv = [find(&["s", "u", "texture_u"]), find(&["t", "v", "texture_v"])];
         // Float colours run from 0 to 1, whole ones to 255.
         let whole = color[0].is_none_or(|i| element.properties[i].kind.size() == 1);
@@ -98,7 +97,10 @@ fn read(bytes: &[u8]) -> Result<Mesh, String> {
         for number in 0..element.count {
             for (k, p) in element.properties.iter().enumerate() {
                 let cut = || {
-                    format!("{} {number} of {}: the file ends or a value is bad", element.name, element.count)
+                    format!(
+                        "{} {number} of {}: the file ends or a value is bad",
+                        element.name, element.count
+                    )
                 };
                 let Some(count_kind) = p.list else {
                     row[k] = values.next(p.kind).ok_or_else(cut)?;
@@ -113,7 +115,11 @@ fn read(bytes: &[u8]) -> Result<Mesh, String> {
                 for _ in 0..count as usize {
                     let v = values.next(p.kind).ok_or_else(cut)?;
                     if mine {
-                        list.push(if v >= 0.0 && v < f64::from(u32::MAX) { v as u32 } else { u32::MAX });
+                        list.push(if v >= 0.0 && v < f64::from(u32::MAX) {
+                            v as u32
+                        } else {
+                            u32::MAX
+                        });
                     }
                 }
                 if mine {
@@ -176,7 +182,9 @@ fn header(bytes: &[u8]) -> Result<(Form, Vec<Element>, usize), String> {
             }
             ["property", rest @ ..] => {
                 let (list, kind, name) = match rest {
-                    ["list", count, kind, name] => (Some(Kind::of(count).ok_or_else(bad)?), kind, name),
+                    ["list", count, kind, name] => {
+                        (Some(Kind::of(count).ok_or_else(bad)?), kind, name)
+                    }
                     [kind, name] => (None, kind, name),
                     _ => return Err(bad()),
                 };
@@ -235,7 +243,8 @@ mod tests {
     const HEADER: &str = "comment made for a test\nelement vertex 4\nproperty float x\nproperty float y\n\
         property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n\
         element face 1\nproperty list uchar int vertex_indices\nend_header\n";
-    const POINTS: [[f32; 3]; 4] = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.1, 0.0], [0.0, 0.1, 0.0]];
+    const POINTS: [[f32; 3]; 4] =
+        [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.1, 0.0], [0.0, 0.1, 0.0]];
 
     fn binary(big: bool) -> Vec<u8> {
         let name = if big { "binary_big_endian" } else { "binary_little_endian" };

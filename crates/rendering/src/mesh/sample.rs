@@ -17,9 +17,8 @@ pub struct SurfacePoint {
 impl Mesh {
     /// `count` points spread evenly over the surface (by area, seeded); none for a mesh without area.
     pub fn surface_points(&self, count: usize, seed: u64) -> Vec<SurfacePoint> {
-        let vertex = |i: u32| {
-            self.positions.get(i as usize).map(|p| Point3::from(p.map(f64::from)))
-        };
+        let vertex =
+            |i: u32| self.positions.get(i as usize).map(|p| Point3::from(p.map(f64::from)));
         let mut total = 0.0;
         let mut upto = Vec::with_capacity(self.triangles.len());
         for t in &self.triangles {

@@ -154,7 +154,6 @@ impl Mesh {
 mod tests {
     use super::super::primitives;
 
-
     #[test]
     fn solids_are_closed_and_damage_is_counted() {
         let cube = primitives::cuboid([0.1; 3], [1; 3]);

@@ -15,16 +15,13 @@ impl Mesh {
         let turned = |v: &[f32; 3]| [v[0], v[2], -v[1]];
         let positions = data.push(self.positions.iter().flat_map(turned), 34962);
         let normals = data.push(self.normals.iter().flat_map(turned), 34962);
-        let colors = data.push(
-            self.colors.iter().flat_map(|c| c.map(|v| linear(f32::from(v) / 255.0))),
-            34962,
-        );
+        let colors = data
+            .push(self.colors.iter().flat_map(|c| c.map(|v| linear(f32::from(v) / 255.0))), 34962);
         let uvs = data.push(self.uvs.iter().flat_map(|uv| [uv[0], 1.0 - uv[1]]), 34962);
-        let indices = data.octets(self.triangles.iter().flatten().flat_map(|i| i.to_le_bytes()), 34963);
+        let indices =
+            data.octets(self.triangles.iter().flatten().flat_map(|i| i.to_le_bytes()), 34963);
         let n = self.positions.len();
-        let vertices = |view: usize, kind: &str| {
-            json!({"bufferView": view, "componentType": 5126, "count": n, "type": kind})
-        };
+        let vertices = |view: usize, kind: &str| json!({"bufferView": view, "componentType": 5126, "count": n, "type": kind});
         let mut place = vertices(positions, "VEC3");
         place["min"] = json!([low.x as f32, low.z as f32, -high.y as f32]);
         place["max"] = json!([high.x as f32, high.z as f32, -low.y as f32]);
@@ -99,7 +96,8 @@ impl Bin {
     fn octets(&mut self, octets: impl IntoIterator<Item = u8>, target: u32) -> usize {
         let start = self.bytes.len();
         self.bytes.extend(octets);
-        let mut view = json!({"buffer": 0, "byteOffset": start, "byteLength": self.bytes.len() - start});
+        let mut view =
+            json!({"buffer": 0, "byteOffset": start, "byteLength": self.bytes.len() - start});
         if target != 0 {
             view["target"] = target.into();
         }

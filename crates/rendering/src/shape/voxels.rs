@@ -22,8 +22,8 @@ impl Voxels {
         let size: [usize; 3] =
             std::array::from_fn(|k| ((span[k] / edge).round() as usize).clamp(1, count));
         // The grid is centred on the mesh.
-        let low = nalgebra::center(&low, &high)
-            - Vector3::from_fn(|k, _| size[k] as f64 * edge / 2.0);
+        let low =
+            nalgebra::center(&low, &high) - Vector3::from_fn(|k, _| size[k] as f64 * edge / 2.0);
         let mut votes = vec![0_u8; size[0] * size[1] * size[2]];
         for axis in 0..3 {
             vote(mesh, axis, &size, &low, edge, &mut votes);
@@ -46,9 +46,8 @@ impl Voxels {
                 (i.max(0.0) as usize).min(self.size[k] - 1)
             });
             let range = |k: usize| at[k].saturating_sub(1)..=(at[k] + 1).min(self.size[k] - 1);
-            let near = range(0).any(|x| {
-                range(1).any(|y| range(2).any(|z| self.solid[self.index([x, y, z])]))
-            });
+            let near = range(0)
+                .any(|x| range(1).any(|y| range(2).any(|z| self.solid[self.index([x, y, z])])));
             if !near {
                 thin.push(self.index(at));
             }
@@ -60,7 +59,14 @@ impl Voxels {
 }
 
 /// Adds one vote to every cube whose centre has an odd number of crossings before it along an axis.
-fn vote(mesh: &Mesh, axis: usize, size: &[usize; 3], low: &Point3<f64>, edge: f64, votes: &mut [u8]) {
+fn vote(
+    mesh: &Mesh,
+    axis: usize,
+    size: &[usize; 3],
+    low: &Point3<f64>,
+    edge: f64,
+    votes: &mut [u8],
+) {
     let (a, b) = ((axis + 1) % 3, (axis + 2) % 3);
     let mut crossings: Vec<Vec<f64>> = vec![Vec::new(); size[a] * size[b]];
     // A little off the grid's regular places, so that no ray meets an edge of a regular mesh.
@@ -74,8 +80,8 @@ fn vote(mesh: &Mesh, axis: usize, size: &[usize; 3], low: &Point3<f64>, edge: f6
             let last = ((to - low[k]) / edge + 1.0).max(0.0) as usize;
             first..(last + 1).min(size[k])
         };
-        let area = (p[1][a] - p[0][a]) * (p[2][b] - p[0][b])
-            - (p[2][a] - p[0][a]) * (p[1][b] - p[0][b]);
+        let area =
+            (p[1][a] - p[0][a]) * (p[2][b] - p[0][b]) - (p[2][a] - p[0][a]) * (p[1][b] - p[0][b]);
         if area.abs() < 1e-18 {
             continue;
         }
@@ -87,9 +93,8 @@ fn vote(mesh: &Mesh, axis: usize, size: &[usize; 3], low: &Point3<f64>, edge: f6
                 let v = ((p[1][a] - p[0][a]) * (y - p[0][b]) - (x - p[0][a]) * (p[1][b] - p[0][b]))
                     / area;
                 if u >= 0.0 && v >= 0.0 && u + v <= 1.0 {
-                    let at = p[0][axis]
-                        + u * (p[1][axis] - p[0][axis])
-                        + v * (p[2][axis] - p[0][axis]);
+                    let at =
+                        p[0][axis] + u * (p[1][axis] - p[0][axis]) + v * (p[2][axis] - p[0][axis]);
                     crossings[j * size[a] + i].push(at);
                 }
             }

@@ -129,11 +129,8 @@ pub(super) struct Loaded {
 impl Loaded {
     /// From the octets of a `.glb` or `.gltf`; other files are looked for in `folder`.
     pub fn parse(bytes: &[u8], folder: &Path) -> Result<Self, String> {
-        let (json, binary) = if bytes.starts_with(b"glTF") {
-            chunks(bytes)?
-        } else {
-            (bytes, None)
-        };
+        let (json, binary) =
+            if bytes.starts_with(b"glTF") { chunks(bytes)? } else { (bytes, None) };
         let document: Document =
             serde_json::from_slice(json).map_err(|e| format!("not a glTF document: {e}"))?;
         if let Some(name) =
@@ -159,8 +156,7 @@ impl Loaded {
     /// The octets of a buffer view.
     fn view(&self, index: usize) -> Result<(&[u8], Option<usize>), String> {
         let view = self.document.buffer_views.get(index).ok_or(format!("no bufferView {index}"))?;
-        let buffer =
-            self.buffers.get(view.buffer).ok_or(format!("no buffer {}", view.buffer))?;
+        let buffer = self.buffers.get(view.buffer).ok_or(format!("no buffer {}", view.buffer))?;
         let end = view.byte_offset.checked_add(view.byte_length);
         end.and_then(|end| buffer.get(view.byte_offset..end))
             .map(|bytes| (bytes, view.byte_stride))
@@ -170,8 +166,7 @@ impl Loaded {
     /// Encoded image (PNG or JPEG) of a texture.
     pub fn image(&self, texture: usize, folder: &Path) -> Result<(usize, Vec<u8>), String> {
         let none = || format!("texture {texture} names no PNG or JPEG image");
-        let source =
-            self.document.textures.get(texture).and_then(|t| t.source).ok_or_else(none)?;
+        let source = self.document.textures.get(texture).and_then(|t| t.source).ok_or_else(none)?;
         let image = self.document.images.get(source).ok_or_else(none)?;
         match (&image.uri, image.buffer_view) {
             (Some(uri), _) => Ok((source, resource(uri, folder)?)),
@@ -273,9 +268,8 @@ fn component_size(kind: u32) -> Result<usize, String> {
 
 /// JSON and binary chunk of a GLB.
 fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), String> {
-    let word = |at: usize| {
-        bytes.get(at..at + 4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
-    };
+    let word =
+        |at: usize| bytes.get(at..at + 4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
     match word(4) {
         Some(2) => {}
         Some(v) => return Err(format!("GLB version {v}; only version 2 is understood")),
@@ -304,7 +298,8 @@ fn resource(uri: &str, folder: &Path) -> Result<Vec<u8>, String> {
         return base64(text).ok_or("a data URI with damaged base64".into());
     }
     let name = uri.replace("%20", " ");
-    if name.contains("://") || Path::new(&name).is_absolute() || name.split('/').any(|p| p == "..") {
+    if name.contains("://") || Path::new(&name).is_absolute() || name.split('/').any(|p| p == "..")
+    {
         return Err(format!("{uri}: only files beside the mesh are read"));
     }
     std::fs::read(folder.join(&name)).map_err(|e| format!("{name}: {e}"))
@@ -338,7 +333,9 @@ mod tests {
 
     #[test]
     fn base64_of_every_length() {
-        for (text, data) in [("", ""), ("Zg==", "f"), ("Zm8=", "fo"), ("Zm9v", "foo"), ("Zm9vYg", "foob")] {
+        for (text, data) in
+            [("", ""), ("Zg==", "f"), ("Zm8=", "fo"), ("Zm9v", "foo"), ("Zm9vYg", "foob")]
+        {
             assert_eq!(base64(text).unwrap(), data.as_bytes());
         }
         assert_eq!(base64("Zm9*"), None);

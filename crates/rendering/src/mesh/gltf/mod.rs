@@ -93,7 +93,12 @@ impl Reader<'_> {
         Ok(())
     }
 
-    fn primitive(&mut self, mesh: usize, number: usize, place: &Matrix4<f64>) -> Result<(), MeshError> {
+    fn primitive(
+        &mut self,
+        mesh: usize,
+        number: usize,
+        place: &Matrix4<f64>,
+    ) -> Result<(), MeshError> {
         let (loaded, path) = (&self.loaded, self.path);
         let parse = |reason: String| MeshError::Parse { path: path.into(), reason };
         let document = &loaded.document;

@@ -90,6 +90,7 @@ fn damaged_documents_are_errors() {
     let packed = text(r#"{"mesh":0}"#, r#""extensionsRequired":["KHR_draco_mesh_compression"],"#);
     let e = read(packed.as_bytes()).unwrap_err().to_string();
     assert!(e.contains("KHR_draco") && e.contains("uncompressed"), "{e}");
-    let far = text(r#"{"mesh":0}"#, "").replace(r#""count":3,"type":"VEC3""#, r#""count":9,"type":"VEC3""#);
+    let far = text(r#"{"mesh":0}"#, "")
+        .replace(r#""count":3,"type":"VEC3""#, r#""count":9,"type":"VEC3""#);
     assert!(read(far.as_bytes()).unwrap_err().to_string().contains("accessor 0"));
 }
