@@ -43,7 +43,7 @@ pub struct ReconstructConfig {
 
 impl Default for ReconstructConfig {
     fn default() -> Self {
-        Self { cells: 56, through: 0.008, votes: 3, triangles: 6000 }
+        Self { cells: 56, through: 0.008, votes: 3, triangles: 8000 }
     }
 }
 

@@ -7,13 +7,13 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use tdv_geometry::Pose;
 
 /// Depth (m) below the measured surface of the points that must be solid.
-const SKIN: f64 = 0.003;
+const SKIN: f64 = 0.0015;
 /// Emptiness (m) that noise explains.
-const SLACK: f64 = 0.0025;
-/// Contradictions (mean over points and images) up to which a symmetry is believed.
-const ROUND: f64 = 0.035;
-/// See [`ROUND`].
-const TWO_PLANES: f64 = 0.05;
+const SLACK: f64 = 0.0007;
+/// Emptiness (m) that contradicts a symmetry.
+const CLEAR: f64 = 0.0045;
+/// Part of the points that may contradict a symmetry that is believed: a handle is more than that.
+const BELIEVED: f64 = 0.025;
 /// Points that are looked at.
 const POINTS: usize = 500;
 
@@ -68,7 +68,7 @@ impl Assumed {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Found {
     pub assumed: Assumed,
-    /// Mean contradiction.
+    /// Part of the points that contradict it.
     pub violation: f64,
     at: [f64; 3],
 }
@@ -122,18 +122,29 @@ impl<'a> Search<'a> {
             for image in &images[1..] {
                 let q = t * (image * local);
                 let off = -self.view.inside(&q) - SLACK;
-                // Half marks for a little, full ones from 1 cm on.
-                sum += (off / 0.01).clamp(0.0, 1.0);
+                // Little for a little, full marks from 8 mm on.
+                sum += (off / 0.008).clamp(0.0, 1.0);
                 n += 1.0;
             }
         }
         (sum / f64::max(n, 1.0), reach / self.points.len().max(1) as f64)
     }
 
+    /// Part of the points one of whose images lies where it is clearly empty.
+    fn contradicted(&self, images: &[Image], at: &[f64; 3]) -> f64 {
+        let t = place(at);
+        let back = t.inverse();
+        let count = self.points.iter().filter(|p| {
+            let local = back * *p;
+            images[1..].iter().any(|image| self.view.inside(&(t * (image * local))) < -CLEAR)
+        });
+        count.count() as f64 / self.points.len().max(1) as f64
+    }
+
     fn cost(&self, images: &[Image], at: &[f64; 3]) -> f64 {
         let (violation, reach) = self.judge(images, at);
         // Of two shapes that explain the view, the smaller one.
-        violation + 0.08 * reach / self.half
+        violation + 0.01 * reach / self.half
     }
 
     fn best(&self, assumed: Assumed) -> Found {
@@ -168,7 +179,7 @@ impl<'a> Search<'a> {
             .map(|(cost, at)| self.refine(&images, *cost, *at, angles.len() > 1))
             .min_by(|a, b| a.0.total_cmp(&b.0));
         let at = best.map_or([0.0; 3], |b| b.1);
-        Found { assumed, violation: self.judge(&images, &at).0, at }
+        Found { assumed, violation: self.contradicted(&images, &at), at }
     }
 
     /// Greedy steps that shrink.
@@ -202,11 +213,11 @@ impl<'a> Search<'a> {
     /// The richest symmetry that the view allows; one mirror plane is always assumed.
     pub fn run(&self) -> Found {
         let round = self.best(Assumed::Round);
-        if round.violation < ROUND {
+        if round.violation < BELIEVED {
             return round;
         }
         let two = self.best(Assumed::TwoPlanes);
-        if two.violation < TWO_PLANES {
+        if two.violation < BELIEVED {
             return two;
         }
         self.best(Assumed::OnePlane)

@@ -7,6 +7,11 @@ use tdv_rendering::Intrinsics;
 /// What is not known to be empty: as if far inside (m).
 pub(super) const UNKNOWN: f64 = 1.0;
 
+/// Masks reach beyond the true outline by about this (px).
+const WIDE_PX: f32 = 0.4;
+/// Width (px) of the ring inside the outline whose readings are not believed.
+const RIM_PX: f32 = 1.6;
+
 /// A window of one frame with the outline of the object.
 #[derive(Debug)]
 pub(super) struct View {
@@ -26,11 +31,16 @@ impl View {
         let k = frame.intrinsics.crop(mask.x0, mask.y0, mask.width, mask.height);
         let (w, h) = (mask.width as i32, mask.height as i32);
         let pixels = || (0..h).flat_map(|y| (0..w).map(move |x| (x + mask.x0, y + mask.y0)));
-        let depth = pixels().map(|(u, v)| smooth(frame, mask, u, v)).collect();
         let color = pixels().map(|(u, v)| frame.color.get_pixel(u as u32, v as u32).0).collect();
         let inside: Vec<bool> = pixels().map(|(u, v)| mask.at(u, v)).collect();
-        let outline =
-            signed_distance(&fill_holes(&inside, w as usize, h as usize), w as usize, h as usize);
+        let whole = fill_holes(&inside, w as usize, h as usize);
+        let outline: Vec<f32> =
+            signed_distance(&whole, w as usize, h as usize).iter().map(|d| d - WIDE_PX).collect();
+        // At the outline a reading may be of what lies behind: only the outline itself counts there.
+        let depth = pixels()
+            .zip(&outline)
+            .map(|((u, v), rim)| if *rim > RIM_PX { smooth(frame, mask, u, v) } else { 0.0 })
+            .collect();
         Self { k, t_camera_object, depth, color, outline }
     }
 

@@ -156,6 +156,8 @@ fn icp(
         let foot = pose * (foot_in_model * scale);
         let (mut h, mut g) = (Matrix4::<f64>::zeros(), Vector4::<f64>::zeros());
         let (mut squares, mut n) = (0.0, 0.0);
+        // What a table plane that is off by one metre would do.
+        let mut lifted = Vector4::<f64>::zeros();
         for (i, z) in painter.out.depth.data.iter().enumerate() {
             let (x, y) = ((i % row) as i32, (i / row) as i32);
             let (u, v) = (x + mask.x0, y + mask.y0);
@@ -180,6 +182,7 @@ fn icp(
             let w = if r.abs() < 0.003 { 1.0 } else { 0.003 / r.abs() };
             h += w * j * j.transpose();
             g += w * j * r;
+            lifted += w * j * normal.dot(&table.normal);
             squares += w * r * r;
             n += 1.0;
         }
@@ -204,7 +207,8 @@ fn icp(
         let variance = squares / n;
         // Neighbouring pixels share their errors: as if one in thirty told something new.
         let inverse = damped.try_inverse()?;
-        sigma = (variance.max(1e-7) * inverse[(3, 3)].max(0.0) * 30.0).sqrt().max(0.006);
+        let noise = (variance.max(1e-7) * inverse[(3, 3)].max(0.0) * 30.0).sqrt().max(0.006);
+        sigma = noise.hypot((inverse * lifted)[3] * HEIGHT_SIGMA);
         if step.norm() < 1e-5 {
             break;
         }

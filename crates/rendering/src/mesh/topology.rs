@@ -81,14 +81,23 @@ impl Mesh {
         }
         let mut fine = self.clone();
         fine.bake_texture();
-        // A surface of n cells a side has about 2 n^2 triangles for each of its six sides.
-        let mut step = fine.diameter() / (most as f64 / 12.0).sqrt().max(2.0);
+        let fine = fine;
+        let corner = |i: u32| nalgebra::Vector3::from(fine.positions[i as usize].map(f64::from));
+        let area: f64 = fine
+            .triangles
+            .iter()
+            .map(|t| t.map(corner))
+            .map(|[a, b, c]| (b - a).cross(&(c - a)).norm() / 2.0)
+            .sum();
+        // Two triangles for each cell that the surface passes through, and it passes through more than
+        // its area needs.
+        let mut step = (2.0 * area / most.max(1) as f64).sqrt().max(fine.diameter() * 1e-4);
         loop {
             let out = fine.clustered(step);
             if out.triangles.len() <= most {
                 return out;
             }
-            step *= 1.15;
+            step *= 1.1;
         }
     }
 
