@@ -274,9 +274,9 @@ pub struct ObjectAddArgs {
     /// Frames at the beginning of the recording, with everything at rest, that are taken as one
     #[arg(long, default_value_t = 10)]
     pub frames: usize,
-    /// Make the mesh of the first view alone, without those in which the object is carried
+    /// Without a mesh: follow the object through the recording and cut away what later views see through
     #[arg(long)]
-    pub one_view: bool,
+    pub carried: bool,
     /// Object catalogue
     #[arg(long, default_value = "config/objects")]
     pub objects: PathBuf,

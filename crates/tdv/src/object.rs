@@ -202,7 +202,7 @@ fn from_views(bag: &Path, args: &ObjectAddArgs) -> anyhow::Result<(Mesh, Symmetr
         shape.assumed(),
         shape.violation() * 100.0
     );
-    if !args.one_view {
+    if args.carried {
         watch(&frame, &mut rest, &mut shape)?;
         println!("views:     {} later ones used", shape.later_views());
     }
