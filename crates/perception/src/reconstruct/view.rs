@@ -182,7 +182,7 @@ fn signed_distance(inside: &[bool], w: usize, h: usize) -> Vec<f32> {
         let mut at: Vec<(i32, i32)> =
             inside.iter().map(|i| if *i == goal { (0, 0) } else { (FAR, FAR) }).collect();
         let square = |o: (i32, i32)| o.0 * o.0 + o.1 * o.1;
-        let mut relax = |at: &mut Vec<(i32, i32)>, x: usize, y: usize, dx: i32, dy: i32| {
+        let relax = |at: &mut Vec<(i32, i32)>, x: usize, y: usize, dx: i32, dy: i32| {
             let (nx, ny) = (x as i32 + dx, y as i32 + dy);
             if nx < 0 || ny < 0 || nx >= w as i32 || ny >= h as i32 {
                 return;

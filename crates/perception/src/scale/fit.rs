@@ -88,7 +88,7 @@ struct Outline {
 
 impl Outline {
     fn add(&mut self, x: i32, y: i32) {
-        let mut count = |list: &mut Vec<u32>, i: i32| {
+        let count = |list: &mut Vec<u32>, i: i32| {
             let i = i.max(0) as usize;
             if list.len() <= i {
                 list.resize(i + 1, 0);
