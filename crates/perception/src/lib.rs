@@ -6,17 +6,23 @@
 
 pub mod availability;
 pub mod backend;
+mod average;
+pub mod candidates;
 pub mod catalogue;
 pub mod color;
+pub mod entry;
 mod frame;
+pub mod hand_eye;
 pub mod hands;
 pub mod objects;
 pub mod overlay;
 pub mod perceiver;
 mod points;
 pub mod prompt;
+pub mod reconstruct;
 pub mod register;
 pub mod remote;
+pub mod scale;
 pub mod segment;
 pub mod table;
 #[cfg(test)]
@@ -25,6 +31,7 @@ pub mod track;
 mod view;
 pub mod visp;
 
+pub use average::average_frames;
 pub use catalogue::{Catalogue, CatalogueError, ObjectModel, Resting};
 pub use frame::{DepthStatus, FARTHEST_M, FrameError, NEAREST_M, RgbdFrame};
 pub use perceiver::{Detection, Perceiver, PerceiverConfig, PerceptionOutput};

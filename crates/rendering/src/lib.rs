@@ -6,14 +6,17 @@
 mod camera;
 pub mod codec;
 mod depth;
+pub mod lens;
 mod lighting;
 pub mod mesh;
 pub mod object;
 mod raster;
+pub mod shape;
 
 pub use camera::{Intrinsics, look_at};
 pub use depth::{DepthError, DepthImage};
 pub use image::{Rgb, RgbImage};
+pub use lens::{AlignError, DepthAligner, Lens, LensError, Undistorter};
 pub use lighting::{Light, Lighting};
 pub use mesh::{Mesh, MeshError};
 pub use object::{CollisionPart, ObjectError, ObjectFile, PartShape};

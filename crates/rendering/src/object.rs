@@ -122,6 +122,19 @@ impl ObjectFile {
         Ok(object)
     }
 
+    /// Checks every field and writes `dir/object.yaml`, with `comment` as its first lines.
+    ///
+    /// # Errors
+    /// [`ObjectError`] other than `Mesh`.
+    pub fn save(&self, dir: &Path, comment: &str) -> Result<(), ObjectError> {
+        let path = dir.join("object.yaml");
+        self.check(&path)?;
+        let body = serde_saphyr::to_string(self)
+            .map_err(|e| ObjectError::Parse { path: path.clone(), reason: e.to_string() })?;
+        let comment: String = comment.lines().map(|l| format!("# {l}\n")).collect();
+        std::fs::write(&path, comment + &body).map_err(|source| ObjectError::Io { path, source })
+    }
+
     /// Loads the mesh named by the file.
     ///
     /// # Errors
@@ -199,7 +212,11 @@ mod tests {
         let object = load(GOOD).unwrap();
         assert_eq!(object.symmetry, Symmetry::Continuous { axis: [0.0, 0.0, 1.0] });
         assert!((object.collision[0].pose().translation.z - 0.005).abs() < 1e-12);
-        assert_eq!(load(&serde_saphyr::to_string(&object).unwrap()).unwrap(), object);
+        let dir = tempfile::tempdir().unwrap();
+        object.save(dir.path(), "A puck.\nMade for a test.").unwrap();
+        assert_eq!(ObjectFile::load(dir.path()).unwrap(), object);
+        let nameless = ObjectFile { name: String::new(), ..object };
+        assert!(matches!(nameless.save(dir.path(), ""), Err(ObjectError::Value { .. })));
     }
 
     #[test]

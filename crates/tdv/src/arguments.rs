@@ -24,6 +24,11 @@ pub enum Command {
     /// Measure
     #[command(subcommand)]
     Eval(EvalCommand),
+    /// Work on the object catalogue
+    #[command(subcommand)]
+    Object(ObjectCommand),
+    /// Find the camera's pose from pairs of a tool pose and a target seen (hand-eye calibration)
+    Calibrate(CalibrateArgs),
     /// Look into bags
     #[command(subcommand)]
     Bag(BagCommand),
@@ -379,6 +384,68 @@ pub struct TrackingArgs {
     /// Folder for the bag and the logs of the live form
     #[arg(long, default_value = "runs/tracking")]
     pub run: PathBuf,
+}
+
+#[derive(Subcommand)]
+pub enum ObjectCommand {
+    /// Make an entry from a mesh (OBJ, GLB, glTF, PLY, STL), a recording, or both
+    Add(ObjectAddArgs),
+}
+
+#[derive(Args)]
+pub struct ObjectAddArgs {
+    /// Name of the object and of its folder
+    pub name: String,
+    /// Mesh, z up (glTF: y up), in any unit
+    #[arg(long, required_unless_present = "bag")]
+    pub mesh: Option<PathBuf>,
+    /// Recording that begins with the object at rest on the table: gives a mesh its scale, or is made a
+    /// mesh of
+    #[arg(long)]
+    pub bag: Option<PathBuf>,
+    /// Which thing on the table, by colour, such as "the red one"
+    #[arg(long)]
+    pub prompt: Option<String>,
+    /// Metres a unit of the mesh, instead of an estimate
+    #[arg(long, conflicts_with = "height")]
+    pub scale: Option<f64>,
+    /// True height (m) of the standing object, instead of an estimate
+    #[arg(long)]
+    pub height: Option<f64>,
+    /// Mass (kg) [default: a guess from the volume]
+    #[arg(long)]
+    pub mass: Option<f64>,
+    /// Friction coefficient
+    #[arg(long, default_value_t = 0.6)]
+    pub friction: f64,
+    /// Other words for it, separated by commas
+    #[arg(long, value_delimiter = ',')]
+    pub synonyms: Vec<String>,
+    /// Frames at the beginning of the recording, with everything at rest, that are taken as one
+    #[arg(long, default_value_t = 10)]
+    pub frames: usize,
+    /// Without a mesh: follow the object through the recording and cut away what later views see through
+    #[arg(long)]
+    pub carried: bool,
+    /// Object catalogue
+    #[arg(long, default_value = "config/objects")]
+    pub objects: PathBuf,
+    /// Replace an entry of this name
+    #[arg(long)]
+    pub force: bool,
+}
+
+#[derive(Args)]
+pub struct CalibrateArgs {
+    /// YAML list of base_tool and camera_target, each with xyz (m) and xyzw (quaternion)
+    #[arg(long)]
+    pub poses: PathBuf,
+    /// The camera is on the tool and the target fixed; without: the other way round
+    #[arg(long)]
+    pub eye_in_hand: bool,
+    /// The camera's optical frame
+    #[arg(long, default_value = "camera_color_optical_frame")]
+    pub camera_frame: String,
 }
 
 #[derive(Subcommand)]

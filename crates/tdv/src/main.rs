@@ -2,6 +2,7 @@
 
 mod arguments;
 mod bag;
+mod calibrate;
 mod demo;
 mod doctor;
 mod eval;
@@ -10,6 +11,7 @@ mod graph;
 mod launch;
 mod live_faults;
 mod motion;
+mod object;
 mod observe;
 mod picture;
 mod record;
@@ -22,7 +24,7 @@ mod tracking;
 mod training;
 mod tracking_synthetic;
 
-use arguments::{Arguments, BagCommand, Command, EvalCommand};
+use arguments::{Arguments, BagCommand, Command, EvalCommand, ObjectCommand};
 use clap::Parser as _;
 use std::process::ExitCode;
 
@@ -41,6 +43,8 @@ fn main() -> ExitCode {
         Command::Eval(EvalCommand::Tracking(a)) => tracking::run(&a),
         Command::Eval(EvalCommand::Table2(a)) => table2::table(&a),
         Command::Eval(EvalCommand::Ablations(a)) => table2::ablations(&a),
+        Command::Object(ObjectCommand::Add(a)) => object::add(&a).map(|()| true),
+        Command::Calibrate(a) => calibrate::run(&a).map(|()| true),
         Command::Bag(BagCommand::Info { bag }) => bag::info(&bag).map(|()| true),
         Command::Doctor(a) => doctor::run(&a),
         Command::Graph(a) => graph::run(&a).map(|()| true),

@@ -1,5 +1,6 @@
 //! All pixel work: colour and depth images in, object poses in the camera frame out.
 
+mod camera;
 mod frames;
 mod node;
 mod params;

@@ -1,3 +1,4 @@
+use crate::camera::{self, Camera, Frames};
 use crate::frames::{Order, Turn, from_the_future};
 use crate::params::{Backend, BridgeParameters};
 use crate::picture::Picture;
@@ -11,9 +12,10 @@ use tdv_geometry::Stamp;
 use tdv_msgs::sensor_msgs::msg::{CameraInfo, CompressedImage, Image};
 use tdv_msgs::std_msgs::msg::Header;
 use tdv_msgs::std_srvs::srv::{Trigger, TriggerResponse};
+use tdv_msgs::tf2_msgs::msg::TFMessage;
 use tdv_msgs::vision_msgs::msg::Detection3DArray;
 use tdv_perception::{Catalogue, FrameError, ObjectModel, Perceiver, PerceptionOutput, RgbdFrame};
-use tdv_rendering::{DepthImage, Intrinsics, RgbImage};
+use tdv_rendering::{DepthImage, RgbImage};
 use tdv_runtime::{
     Inbox, Level, Node, Params, Publisher, Qos, Sender, StampMatcher, convert, inbox, tracked,
 };
@@ -49,7 +51,9 @@ struct Work {
     picture: Picture,
     pairs: Inbox<Pair>,
     camera_info: Inbox<CameraInfo>,
-    intrinsics: Option<Intrinsics>,
+    /// Of the depth camera, when depth is not aligned.
+    depth_info: Option<Inbox<CameraInfo>>,
+    camera: Camera,
     again: Arc<AtomicBool>,
     detections: Publisher<Detection3DArray>,
     segmentation: Option<Publisher<Image>>,
@@ -100,13 +104,24 @@ pub async fn perceive(node: Node, params: Params<BridgeParameters>) -> anyhow::R
     let remote = (p.backend() == Some(Backend::Remote))
         .then(|| Remote::new(&node, &p.remote, &perceiver))
         .transpose()?;
+    let frames = Frames::default();
+    let apart = !p.depth_info_topic.is_empty();
+    if apart {
+        let shared = frames.clone();
+        node.subscribe("/tf_static", Qos::latched_depth(10), move |message: TFMessage| {
+            camera::learn(&shared, &message);
+        })?;
+    }
     let work = Work {
         remote,
         picture: Picture::new(&node, &p.backend, &perceiver)?,
         perceiver,
         pairs,
         camera_info: node.newest(&p.camera_info_topic, Qos::sensor_data())?,
-        intrinsics: None,
+        depth_info: apart
+            .then(|| node.newest(&p.depth_info_topic, Qos::sensor_data()))
+            .transpose()?,
+        camera: Camera::new(&p.camera_info_topic, &p.depth_info_topic, frames),
         again,
         detections: node.publisher("/perception_bridge/detections", Qos::reliable(5))?,
         segmentation: p
@@ -219,26 +234,36 @@ impl Work {
             if !self.is_next(&pair) {
                 continue;
             }
-            if let Some(info) = self.camera_info.try_newest() {
-                match convert::intrinsics_from_info(&self.params.camera_info_topic, &info) {
-                    Ok(k) => self.intrinsics = Some(k),
-                    Err(e) => self.complain(&e.to_string()),
-                }
-            }
-            let Some(intrinsics) = self.intrinsics else {
+            if let Err(why) = self.calibrate() {
                 // No answer: a lockstep replay sends the frame again.
-                self.complain(&format!("no {} yet", self.params.camera_info_topic));
+                self.complain(&why.to_string());
                 continue;
-            };
+            }
             let stamp = tracked::stamp(&pair.header);
-            match decode(&pair.color, &pair.depth, &self.params) {
-                Ok((color, depth)) => {
+            let decoded = decode(&pair.color, &pair.depth, &self.params);
+            match decoded.and_then(|(color, depth)| Ok(self.camera.pair(color, depth)?)) {
+                Ok((color, depth, intrinsics)) => {
                     let frame = RgbdFrame { stamp, color, depth, intrinsics };
                     self.process(&pair.header, &frame);
                 }
                 Err(e) => self.give_up(&pair.header, &format!("{e:#}")),
             }
         }
+    }
+
+    /// Takes new calibrations; an error while something is missing that may still come.
+    fn calibrate(&mut self) -> Result<(), camera::CameraError> {
+        if let Some(info) = self.camera_info.try_newest()
+            && let Err(e) = self.camera.color_info(&info)
+        {
+            self.complain(&e.to_string());
+        }
+        if let Some(info) = self.depth_info.as_mut().and_then(Inbox::try_newest)
+            && let Err(e) = self.camera.depth_info(&info)
+        {
+            self.complain(&e.to_string());
+        }
+        self.camera.is_known()
     }
 
     /// Whether a frame is to be worked on.

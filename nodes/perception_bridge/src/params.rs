@@ -41,6 +41,7 @@ pub struct BridgeParameters {
     pub color_topic: String,
     pub depth_topic: String,
     pub camera_info_topic: String,
+    pub depth_info_topic: String,
     pub compressed: bool,
     pub sync_tolerance: f64,
     pub every_frame: bool,
@@ -60,6 +61,7 @@ impl Default for BridgeParameters {
             color_topic: "/camera/camera/color/image_raw".into(),
             depth_topic: "/camera/camera/aligned_depth_to_color/image_raw".into(),
             camera_info_topic: "/camera/camera/color/camera_info".into(),
+            depth_info_topic: String::new(),
             compressed: false,
             sync_tolerance: 0.0,
             every_frame: false,
@@ -127,6 +129,13 @@ impl Parameters for BridgeParameters {
             "objects_dir" => "folder of the object catalogue",
             "objects" => "catalogue names to look for; empty: those that the prompt names",
             "mesh_scales" => "NAME:FACTOR for meshes whose size is known better than the file says",
+            "camera_info_topic" => {
+                "calibration of the raw colour images; its distortion is taken out of colour and depth"
+            }
+            "depth_info_topic" => {
+                "calibration of a depth camera of its own, whose images are registered to colour by \
+                 /tf_static; empty: depth is aligned already"
+            }
             "compressed" => "subscribe to COLOR/compressed and DEPTH/compressedDepth",
             "sync_tolerance" => {
                 "largest difference (s) of the stamps of colour and depth; 0: equal"

@@ -6,19 +6,49 @@ use std::path::{Path, PathBuf};
 /// resolution more texels only alias.
 const MAX_TEXTURE: u32 = 1024;
 
+/// Smallest and largest diameter (m) of a thing on a table.
+const SMALLEST: f64 = 5e-3;
+/// See [`SMALLEST`].
+const LARGEST: f64 = 2.0;
+
 impl Mesh {
-    /// Reads a Wavefront OBJ (with its mtl: diffuse colours, one diffuse texture; further textures
-    /// are baked into vertex colours) or an STL (text or binary) in metres. Missing normals are computed.
+    /// Reads a mesh in metres, z up. By content, then by the file's name: glTF and GLB (turned from its
+    /// y up), PLY and STL (text or binary), Wavefront OBJ with its mtl. Base colours, vertex colours and
+    /// one texture are kept; further textures are baked into vertex colours. Missing normals are computed.
     ///
     /// # Errors
-    /// Everything in [`MeshError`]; a diameter above 3 m or below 2 mm is refused, because it almost
+    /// Everything in [`MeshError`]; a diameter above 2 m or below 5 mm is refused, because it almost
     /// always means another unit.
     pub fn load(path: &Path) -> Result<Self, MeshError> {
+        let mesh = Self::load_unscaled(path)?;
+        mesh.check_size(path)?;
+        Ok(mesh)
+    }
+
+    /// As [`Self::load`] for a mesh of any unit or none, such as one made from pictures.
+    ///
+    /// # Errors
+    /// Everything in [`MeshError`] except for `Size`.
+    pub fn load_unscaled(path: &Path) -> Result<Self, MeshError> {
+        let bytes =
+            std::fs::read(path).map_err(|source| MeshError::Io { path: path.into(), source })?;
         let extension = path.extension().and_then(|e| e.to_str()).unwrap_or("").to_lowercase();
-        let mut mesh = match extension.as_str() {
-            "obj" => load_obj(path)?,
-            "stl" => load_stl(path)?,
-            _ => return Err(MeshError::Format { path: path.into() }),
+        let text = bytes.trim_ascii_start();
+        let mut mesh = if bytes.starts_with(b"glTF") || text.starts_with(b"{") {
+            super::gltf::load(path, &bytes)?
+        } else if bytes.starts_with(b"ply") && bytes.get(3).is_some_and(u8::is_ascii_whitespace) {
+            super::ply::load(path, &bytes)?
+        } else {
+            match extension.as_str() {
+                "obj" => load_obj(path)?,
+                "stl" => load_stl(path, &bytes)?,
+                "glb" | "gltf" | "ply" => {
+                    let reason = format!("is not a {extension} file by its first octets");
+                    return Err(MeshError::Parse { path: path.into(), reason });
+                }
+                _ if bytes.starts_with(b"solid") => load_stl(path, &bytes)?,
+                _ => return Err(MeshError::Format { path: path.into() }),
+            }
         };
         mesh.check(path)?;
         if mesh.normals.len() != mesh.positions.len() {
@@ -43,15 +73,28 @@ impl Mesh {
                 return Err(MeshError::Index { path: path(), triangle, vertex, count });
             }
         }
+        Ok(())
+    }
+
+    /// Refuses sizes that no tabletop object has; `path` is named in the error.
+    ///
+    /// # Errors
+    /// [`MeshError::Size`] with the likely unit.
+    pub fn check_size(&self, path: &Path) -> Result<(), MeshError> {
         let diameter = self.diameter();
-        let hint = if diameter > 3.0 {
-            "this looks like millimetres: scale it by 0.001 (meshes are in metres)"
-        } else if diameter < 2e-3 {
-            "this is too small for an object on a table: meshes are in metres"
-        } else {
+        if (SMALLEST..=LARGEST).contains(&diameter) {
             return Ok(());
+        }
+        // The unit under which it would be a thing for one hand.
+        let units = [("millimetres", 0.001), ("centimetres", 0.01), ("inches", 0.0254)];
+        let likely = units.iter().find(|(_, f)| (0.02..=0.6).contains(&(diameter * f)));
+        let hint = match likely {
+            Some((name, factor)) => {
+                format!("this looks like {name}: scale it by {factor} (meshes are in metres)")
+            }
+            None => "meshes are in metres: give its scale or its true height".into(),
         };
-        Err(MeshError::Size { path: path(), diameter, hint })
+        Err(MeshError::Size { path: path.into(), diameter, hint })
     }
 }
 
@@ -68,7 +111,6 @@ fn load_obj(path: &Path) -> Result<Mesh, MeshError> {
         Err(tobj::LoadError::OpenFileFailed) => Vec::new(),
         Err(e) => return Err(parse(e)),
     };
-    let mut out = Mesh::default();
     let mut all_normals = true;
     let mut textures: Vec<(PathBuf, RgbImage)> = Vec::new();
     let mut parts: Vec<(Mesh, Option<usize>)> = Vec::new();
@@ -112,11 +154,22 @@ fn load_obj(path: &Path) -> Result<Mesh, MeshError> {
             texture,
         ));
     }
-    // One texture for every part stays a texture; otherwise all of them become vertex colours.
+    let mut out = assemble(parts, textures.into_iter().map(|(_, t)| t).collect());
+    if all_normals {
+        normalise(&mut out.normals);
+    }
+    Ok(out)
+}
+
+/// Joins parts, each with the number of its texture. One texture for every part stays a texture;
+/// otherwise all of them become vertex colours. Normals stay only if every part has them.
+pub(super) fn assemble(parts: Vec<(Mesh, Option<usize>)>, mut textures: Vec<RgbImage>) -> Mesh {
     let keep = textures.len() == 1 && parts.iter().all(|(_, t)| t.is_some());
+    let all_normals = parts.iter().all(|(p, _)| p.normals.len() == p.positions.len());
+    let mut out = Mesh::default();
     for (mut part, texture) in parts {
         if !keep && let Some(t) = texture {
-            part.texture = Some(textures[t].1.clone());
+            part.texture = textures.get(t).cloned();
             part.bake_texture();
         }
         let base = out.positions.len() as u32;
@@ -127,14 +180,21 @@ fn load_obj(path: &Path) -> Result<Mesh, MeshError> {
         out.triangles.extend(part.triangles.iter().map(|t| t.map(|i| i.saturating_add(base))));
     }
     if keep {
-        out.texture = textures.pop().map(|(_, t)| t);
+        out.texture = textures.pop();
     }
-    if all_normals {
-        normalise(&mut out.normals);
-    } else {
+    if !all_normals {
         out.normals.clear();
     }
-    Ok(out)
+    out
+}
+
+/// Halves a texture until it fits.
+pub(super) fn shrink(mut image: RgbImage) -> RgbImage {
+    while image.width().max(image.height()) > MAX_TEXTURE {
+        let (w, h) = ((image.width() / 2).max(1), (image.height() / 2).max(1));
+        image = image::imageops::resize(&image, w, h, image::imageops::FilterType::Triangle);
+    }
+    image
 }
 
 fn texture_index(
@@ -151,14 +211,9 @@ fn texture_index(
     let fail =
         |reason: String| MeshError::Texture { path: mesh.into(), texture: texture.clone(), reason };
     let bytes = std::fs::read(&texture).map_err(|e| fail(e.to_string()))?;
-    let mut image = image::load_from_memory(&bytes)
-        .map_err(|e| fail(format!("{e} (PNG and JPEG can be read)")))?
-        .into_rgb8();
-    while image.width().max(image.height()) > MAX_TEXTURE {
-        let (w, h) = ((image.width() / 2).max(1), (image.height() / 2).max(1));
-        image = image::imageops::resize(&image, w, h, image::imageops::FilterType::Triangle);
-    }
-    textures.push((texture, image));
+    let image = image::load_from_memory(&bytes)
+        .map_err(|e| fail(format!("{e} (PNG and JPEG can be read)")))?;
+    textures.push((texture, shrink(image.into_rgb8())));
     Ok(textures.len() - 1)
 }
 
@@ -177,9 +232,7 @@ fn to_u8(v: f32) -> u8 {
     (v.clamp(0.0, 1.0) * 255.0).round() as u8
 }
 
-fn load_stl(path: &Path) -> Result<Mesh, MeshError> {
-    let bytes =
-        std::fs::read(path).map_err(|source| MeshError::Io { path: path.into(), source })?;
+fn load_stl(path: &Path, bytes: &[u8]) -> Result<Mesh, MeshError> {
     let parse = |reason: String| MeshError::Parse { path: path.into(), reason };
     // A binary header may begin with "solid" too: the length decides first.
     let count = bytes.get(80..84).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
@@ -187,7 +240,7 @@ fn load_stl(path: &Path) -> Result<Mesh, MeshError> {
     let corners = if binary {
         binary_corners(&bytes[84..])
     } else if bytes.trim_ascii_start().starts_with(b"solid") {
-        let text = std::str::from_utf8(&bytes).map_err(|e| parse(format!("not text: {e}")))?;
+        let text = std::str::from_utf8(bytes).map_err(|e| parse(format!("not text: {e}")))?;
         text_corners(text).map_err(parse)?
     } else {
         let wanted = count.map_or(84, |n| 84 + 50 * n);
@@ -335,6 +388,11 @@ mod tests {
         let mm = primitives::cuboid([90.0, 60.0, 190.0], [1; 3]);
         let e = Mesh::load(&write(dir.path(), "mm.stl", &stl_bytes(&mm))).unwrap_err();
         assert!(e.to_string().contains("looks like millimetres"), "{e}");
+        // Without any unit: refused as it is, taken by whoever finds the scale.
+        let unitless =
+            write(dir.path(), "unit.stl", &stl_bytes(&primitives::cuboid([0.9, 1.7, 1.2], [1; 3])));
+        assert!(matches!(Mesh::load(&unitless), Err(MeshError::Size { .. })));
+        assert!((Mesh::load_unscaled(&unitless).unwrap().volume() - 0.9 * 1.7 * 1.2).abs() < 1e-5);
         let tiny = primitives::cuboid([1e-4; 3], [1; 3]);
         let e = Mesh::load(&write(dir.path(), "tiny.stl", &stl_bytes(&tiny))).unwrap_err();
         assert!(matches!(e, MeshError::Size { .. }));
@@ -365,6 +423,9 @@ mod tests {
             assert!(matches!(e, MeshError::Parse { .. }), "{name}: {e}");
         }
         assert!(matches!(Mesh::load(&dir.path().join("no.obj")), Err(MeshError::Io { .. })));
-        assert!(matches!(Mesh::load(&dir.path().join("no.ply")), Err(MeshError::Format { .. })));
+        let e = Mesh::load(&write(dir.path(), "not.ply", b"something else")).unwrap_err();
+        assert!(matches!(e, MeshError::Parse { .. }), "{e}");
+        let e = Mesh::load(&write(dir.path(), "x.dae", b"<xml>")).unwrap_err();
+        assert!(e.to_string().contains(".glb"), "{e}");
     }
 }

@@ -1,8 +1,16 @@
 //! Triangle meshes in metres with per-vertex normals, texture coordinates and colours.
 
+mod gltf;
 mod load;
+mod ply;
 pub mod primitives;
+mod sample;
+mod topology;
 mod write;
+mod write_glb;
+
+pub use sample::SurfacePoint;
+pub use topology::Topology;
 
 use image::RgbImage;
 use nalgebra::{Point3, Vector3};
@@ -22,8 +30,8 @@ pub enum MeshError {
         /// What the system said.
         source: std::io::Error,
     },
-    /// Neither OBJ nor STL by its name.
-    #[error("{path}: unknown mesh format, expected a file name ending in .obj or .stl")]
+    /// No format that is known.
+    #[error("{path}: unknown mesh format, expected .obj, .glb, .gltf, .ply or .stl")]
     Format {
         /// The file.
         path: PathBuf,
@@ -72,7 +80,7 @@ pub enum MeshError {
         /// Its diameter as read.
         diameter: f64,
         /// What to do.
-        hint: &'static str,
+        hint: String,
     },
     /// A texture image cannot be read.
     #[error("{path}: texture {texture}: {reason}")]

@@ -6,7 +6,7 @@ use tdv_geometry::{FrameTree, Pose, Stamp};
 use tdv_msgs::sensor_msgs::msg::{CameraInfo, CompressedImage, Image};
 use tdv_msgs::tf2_msgs::msg::TFMessage;
 use tdv_msgs::{CdrError, from_cdr_bytes};
-use tdv_rendering::{DepthImage, Intrinsics, RgbImage};
+use tdv_rendering::{DepthImage, Intrinsics, Lens, RgbImage, Undistorter};
 
 /// Why a bag gives no frames.
 #[derive(Debug, thiserror::Error)]
@@ -45,7 +45,7 @@ pub enum CameraBagError {
     },
 }
 
-/// One pair of aligned images.
+/// One pair of aligned images, without lens distortion.
 #[derive(Debug, Clone)]
 pub struct CameraFrame {
     /// Stamp of both.
@@ -64,6 +64,8 @@ pub struct CameraBag {
     color: TopicInfo,
     depth: TopicInfo,
     intrinsics: Intrinsics,
+    /// For a camera whose lens bends.
+    undistorter: Option<Undistorter>,
     t_base_camera: Pose,
     waiting_color: Option<(Stamp, RgbImage)>,
     waiting_depth: Option<(Stamp, DepthImage)>,
@@ -117,6 +119,8 @@ impl CameraBag {
         let Some(m) = reader.next_message()? else { return Err(missing("camera_info message")) };
         let message: CameraInfo = decode(&info.name, &m.data)?;
         let intrinsics = convert::intrinsics_from_info(&info.name, &message)?;
+        let lens = convert::lens_from_info(&info.name, &message)?;
+        let undistorter = (lens != Lens::None).then(|| Undistorter::new(intrinsics, lens));
         let camera = message.header.frame_id;
         let place = |why| CameraBagError::Place { bag: path.display().to_string(), why };
         reader.select(&[&tf.name], None)?;
@@ -138,6 +142,7 @@ impl CameraBag {
             color,
             depth,
             intrinsics,
+            undistorter,
             t_base_camera,
             waiting_color: None,
             waiting_depth: None,
@@ -183,6 +188,10 @@ impl CameraBag {
                 && let (Some((stamp, color)), Some((_, depth))) =
                     (self.waiting_color.take(), self.waiting_depth.take())
             {
+                let (color, depth) = match &self.undistorter {
+                    Some(u) => (u.color(&color), u.depth(&depth)),
+                    None => (color, depth),
+                };
                 return Ok(Some(CameraFrame { stamp, color, depth, intrinsics: self.intrinsics }));
             }
         }

@@ -4,7 +4,7 @@ use super::ConvertError;
 use tdv_msgs::sensor_msgs::msg::{CameraInfo, CompressedImage, Image};
 use tdv_msgs::std_msgs::msg::Header;
 use tdv_rendering::codec::{self, DepthEncoding};
-use tdv_rendering::{DepthImage, Intrinsics, RgbImage};
+use tdv_rendering::{DepthImage, Intrinsics, Lens, RgbImage};
 
 /// Rows of the message without padding, each of `width * bytes_per_pixel` bytes.
 fn rows<'a>(
@@ -259,6 +259,15 @@ pub fn intrinsics_from_info(topic: &str, info: &CameraInfo) -> Result<Intrinsics
     Ok(Intrinsics { width, height, fx, fy, cx, cy })
 }
 
+/// What the camera's lens does to raw images: `distortion_model` and `d`.
+///
+/// # Errors
+/// [`ConvertError::Camera`] for a model or coefficients that cannot be used.
+pub fn lens_from_info(topic: &str, info: &CameraInfo) -> Result<Lens, ConvertError> {
+    Lens::from_coefficients(&info.distortion_model, &info.d)
+        .map_err(|e| ConvertError::Camera { topic: topic.into(), reason: e.to_string() })
+}
+
 /// True when the calibration has lens distortion that a pinhole camera leaves out.
 pub fn has_distortion(info: &CameraInfo) -> bool {
     info.d.iter().any(|d| d.abs() > 1e-9)
@@ -390,5 +399,9 @@ mod tests {
         let mut lens = info;
         lens.d[0] = 0.1;
         assert!(has_distortion(&lens));
+        assert!(matches!(lens_from_info("t", &lens), Ok(Lens::Brown { .. })));
+        lens.distortion_model = "mirror".into();
+        let text = lens_from_info("/info", &lens).expect_err("model").to_string();
+        assert!(text.starts_with("/info: ") && text.contains("mirror"), "{text}");
     }
 }

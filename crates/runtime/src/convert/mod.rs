@@ -6,7 +6,7 @@ pub use image::{
     color_from_compressed, color_from_image, compressed_from_color, compressed_from_depth,
     depth_from_compressed, depth_from_image, has_distortion, image_from_color, image_from_depth,
     image_from_depth_in_metres, image_from_labels, info_from_intrinsics, intrinsics_from_info,
-    labels_from_image,
+    labels_from_image, lens_from_info,
 };
 
 use tdv_geometry::Stamp;
