@@ -5,8 +5,8 @@
 //! `T_a_b` is the pose of b in a.
 
 pub mod availability;
-pub mod backend;
 mod average;
+pub mod backend;
 pub mod candidates;
 pub mod catalogue;
 pub mod color;

@@ -21,8 +21,8 @@ mod table2;
 mod teach;
 mod teach_multi;
 mod tracking;
-mod training;
 mod tracking_synthetic;
+mod training;
 
 use arguments::{Arguments, BagCommand, Command, EvalCommand, ObjectCommand};
 use clap::Parser as _;
