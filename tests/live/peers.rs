@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 use std::process::Command;
-use tdv_tests::{machine, model, program, repository};
+use tdv_tests::{holds, machine, model, program, repository};
 
 /// Where launch_scripts/test.sh sets rclpy up (tests/peers/setup.sh).
 fn environment() -> Option<PathBuf> {
@@ -19,15 +19,17 @@ fn environment() -> Option<PathBuf> {
 
 fn passes(script: &str, arguments: &[&str]) {
     let Some(environment) = environment() else { return };
-    let status = Command::new("bash")
-        .args(["-c", "source \"$0\" && exec tests/peers/netns.sh python \"$@\""])
-        .arg(environment)
-        .arg(script)
-        .args(arguments)
-        .current_dir(repository())
-        .status()
-        .unwrap();
-    assert!(status.success(), "{script}: see the lines that begin with FAIL");
+    holds(script, || {
+        let status = Command::new("bash")
+            .args(["-c", "source \"$0\" && exec tests/peers/netns.sh python \"$@\""])
+            .arg(&environment)
+            .arg(script)
+            .args(arguments)
+            .current_dir(repository())
+            .status()
+            .unwrap();
+        assert!(status.success(), "{script}: see the lines that begin with FAIL");
+    });
 }
 
 #[test]

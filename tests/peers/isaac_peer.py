@@ -78,6 +78,7 @@ class World(Node):
     def __init__(self):
         super().__init__("isaac_world")
         self.truth, self.links = {}, {}
+        # rclpy looks at the signature of a callback, which a deque's own `append` has not.
         self.detections = collections.deque(maxlen=50)
         self.tracked = collections.deque(maxlen=50)
         self.status = collections.deque(maxlen=20)
@@ -87,8 +88,9 @@ class World(Node):
         self.create_subscription(TrackedObjects, "/virtual_lab/ground_truth/objects", self.learn, best)
         self.create_subscription(TFMessage, "/tf_static", self.link, latched)
         self.create_subscription(Detection3DArray, "/perception_bridge/detections",
-                                 self.detections.append, best)
-        self.create_subscription(TrackedObjects, "/pose_tracker/objects", self.tracked.append, best)
+                                 lambda m: self.detections.append(m), best)
+        self.create_subscription(TrackedObjects, "/pose_tracker/objects",
+                                 lambda m: self.tracked.append(m), best)
         self.create_subscription(DiagnosticArray, "/diagnostics", self.diagnose, 10)
 
     def learn(self, message):
@@ -106,7 +108,8 @@ class World(Node):
 
     def look(self):
         best = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self.create_subscription(Image, "/perception_bridge/overlay", self.overlays.append, best)
+        self.create_subscription(Image, "/perception_bridge/overlay",
+                                 lambda m: self.overlays.append(m), best)
 
     def in_camera(self, name):
         """T_camera_object as the lab knows it, or nothing yet."""

@@ -3,6 +3,10 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
+/// CPU time (ms) that a machine's host may take within a second before the loop can go stale: as much as
+/// the oldest image that it acts on is old.
+pub const STOLEN_MS: f64 = 150.0;
+
 /// A node that was killed while the arm moved.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Fault {
@@ -33,6 +37,9 @@ pub struct Trial {
     pub duration_s: f64,
     /// The lab's real-time factor over the trial.
     pub real_time_factor: f64,
+    /// The most CPU time (ms) that the host of a virtual machine took within one second of the trial.
+    #[serde(default)]
+    pub stolen_ms: f64,
     /// Why it ended as it did.
     pub reason: String,
     /// What was done to it, if anything.
@@ -66,6 +73,12 @@ pub struct ClosedLoopSummary {
     pub ci95: [f64; 2],
     /// Lowest real-time factor of the lab over the trials.
     pub real_time_factor: f64,
+    /// Trials in which the machine's host took CPU time enough to make the loop stale ([`STOLEN_MS`]).
+    #[serde(default)]
+    pub stolen_trials: usize,
+    /// Failures among them.
+    #[serde(default)]
+    pub stolen_failures: usize,
     /// Median distance from the target, millimetres, over trials with a verdict.
     pub median_error_mm: Option<f64>,
     /// Median yaw error, degrees.
@@ -104,6 +117,7 @@ impl ClosedLoopReport {
         let collect = |f: &dyn Fn(&Trial) -> Option<f64>| -> Option<f64> {
             percentile(&trials.iter().filter_map(f).collect::<Vec<_>>(), 0.5)
         };
+        let stolen = trials.iter().filter(|t| t.stolen_ms > STOLEN_MS);
         let summary = ClosedLoopSummary {
             task: task.into(),
             condition: condition.into(),
@@ -112,6 +126,8 @@ impl ClosedLoopReport {
             rate: if trials.is_empty() { 0.0 } else { successes as f64 / trials.len() as f64 },
             ci95: wilson_interval(successes, trials.len()),
             real_time_factor: trials.iter().map(|t| t.real_time_factor).fold(f64::NAN, f64::min),
+            stolen_trials: stolen.clone().count(),
+            stolen_failures: stolen.filter(|t| !t.success).count(),
             median_error_mm: collect(&|t| t.error_mm),
             median_error_deg: collect(&|t| t.error_deg),
             median_duration_s: collect(&|t| t.success.then_some(t.duration_s)),
@@ -163,6 +179,14 @@ impl ClosedLoopReport {
             100.0 * s.ci95[1],
             s.real_time_factor
         );
+        if s.stolen_trials > 0 {
+            let _ = writeln!(
+                out,
+                "  in {} trials ({} of them failed) the machine's host took more than {STOLEN_MS:.0} ms \
+                 of CPU time within a second",
+                s.stolen_trials, s.stolen_failures
+            );
+        }
         let mut sum = 0.0;
         for (stage, l) in &s.latency {
             sum += l.p99_ms;
@@ -206,6 +230,7 @@ mod tests {
             error_deg: error,
             duration_s: 20.0,
             real_time_factor: 0.99,
+            stolen_ms: if success { 0.0 } else { 2.0 * STOLEN_MS },
             reason: "placed".into(),
             fault: None,
         }
@@ -233,5 +258,7 @@ mod tests {
             assert!(json["trials"][0].get(field).is_some(), "{field}");
         }
         assert!(r.table().contains("2/3"));
+        assert_eq!((r.summary.stolen_trials, r.summary.stolen_failures), (1, 1));
+        assert!(r.table().contains("in 1 trials (1 of them failed) the machine's host"));
     }
 }

@@ -11,7 +11,9 @@ pub mod table2;
 mod tracking;
 pub mod tracking_synthetic;
 
-pub use closed_loop::{ClosedLoopReport, ClosedLoopSummary, Fault, LatencyFigures, Trial};
+pub use closed_loop::{
+    ClosedLoopReport, ClosedLoopSummary, Fault, LatencyFigures, STOLEN_MS, Trial,
+};
 pub use page::Page;
 pub use plot::{LinePlot, Series, TopView};
 pub use statistics::{percentile, wilson_interval};

@@ -13,6 +13,7 @@ mod diagnostics;
 mod error;
 mod farewell;
 mod graph;
+pub mod host;
 mod inbox;
 pub mod launch;
 mod logging;

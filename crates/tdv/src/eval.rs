@@ -220,6 +220,7 @@ pub fn trial(task: &Task, seed: u64, outcome: &TrialOutcome) -> Trial {
             error_deg: None,
             duration_s: outcome.wall,
             real_time_factor: f64::NAN,
+            stolen_ms: outcome.stolen_ms,
             reason,
             fault: None,
         };
@@ -236,6 +237,7 @@ pub fn trial(task: &Task, seed: u64, outcome: &TrialOutcome) -> Trial {
         error_deg: Some(v.error_rad.to_degrees()).filter(|e| e.is_finite()),
         duration_s: v.elapsed,
         real_time_factor: v.real_time_factor,
+        stolen_ms: outcome.stolen_ms,
         reason,
         fault: outcome.fault.as_ref().map(|f| Fault {
             node: f.node.clone(),

@@ -7,6 +7,7 @@ mod pictures;
 mod replay;
 mod signals;
 
+use crate::host::StolenTime;
 use crate::launch::{LaunchError, LaunchFile, Launched, NodeCommand, NodeExit, StartOptions};
 use crate::names::Resolver;
 use crate::node::Node;
@@ -79,6 +80,8 @@ pub struct TrialOutcome {
     pub pictures: Vec<RgbImage>,
     /// Seconds of the clock.
     pub wall: f64,
+    /// The most CPU time that the machine's host took within a second while the graph ran, milliseconds.
+    pub stolen_ms: f64,
     /// The bag of the run.
     pub bag: Option<Recording>,
     /// The true joints at 125 Hz.
@@ -246,6 +249,7 @@ async fn watch_trial(setup: &TrialSetup, shutdown: &Shutdown) -> Result<TrialOut
     let mut watch = Watch::new(&node, setup.pictures || setup.bag.is_some())?;
     let began = Instant::now();
     let mut outcome = TrialOutcome::default();
+    let mut stolen = StolenTime::start();
     let mut stages = StageClock::default();
     let mut taker = PictureTaker::default();
     let mut recorder = match &setup.bag {
@@ -260,6 +264,7 @@ async fn watch_trial(setup: &TrialSetup, shutdown: &Shutdown) -> Result<TrialOut
     loop {
         tokio::time::sleep(Duration::from_millis(2)).await;
         collect(&node, &mut watch, &mut outcome, &mut stages, &mut taker, &mut fault);
+        stolen.look();
         if let Some(recorder) = &mut recorder {
             if looked.is_none_or(|t| t.elapsed() > Duration::from_millis(500)) {
                 looked = Some(Instant::now());
@@ -293,6 +298,7 @@ async fn watch_trial(setup: &TrialSetup, shutdown: &Shutdown) -> Result<TrialOut
     // Once more: the verdict that ended it may have come with a picture worth keeping.
     collect(&node, &mut watch, &mut outcome, &mut stages, &mut taker, &mut fault);
     outcome.wall = began.elapsed().as_secs_f64();
+    outcome.stolen_ms = stolen.worst_ms();
     launched.stop(Duration::from_secs(3));
     if let Some(recorder) = recorder {
         outcome.bag = Some(recorder.finish()?);
