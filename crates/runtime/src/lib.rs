@@ -22,6 +22,7 @@ mod names;
 mod node;
 mod parameters;
 mod qos;
+pub mod realtime;
 pub mod record;
 mod run;
 mod service;

@@ -15,7 +15,7 @@ use crate::{controllers, dashboard_services, gripper_action, trajectory};
 use std::sync::{Arc, mpsc};
 use tdv_msgs::std_msgs::msg::String as Text;
 use tdv_robot::MotionParams;
-use tdv_runtime::{Level, Node, Params, Qos};
+use tdv_runtime::{Level, Node, Params, Qos, realtime};
 use tdv_ur_protocol::dashboard::{robot_mode_name, safety_mode_name};
 use tokio::sync::watch;
 
@@ -72,7 +72,9 @@ pub async fn drive(node: Node, params: Params<DriverParameters>) -> anyhow::Resu
         tokio: tokio::runtime::Handle::current(),
     };
     let thread_node = node.clone();
+    let priority = p.thread_priority;
     let arm = tokio::task::spawn_blocking(move || {
+        realtime::request("the robot's thread", priority);
         arm::run(&thread_node, &link, &shared, |event| watcher.event(event));
     });
     arm.await?;

@@ -29,6 +29,7 @@ pub struct DriverParameters {
     pub gripper_port: u16,
     pub gripper_device: String,
     pub frequency: f64,
+    pub thread_priority: u8,
     pub headless: bool,
     pub keep_program: bool,
     pub servoj_gain: f64,
@@ -58,6 +59,7 @@ impl Default for DriverParameters {
             gripper_port: GRIPPER_PORT,
             gripper_device: String::new(),
             frequency: 0.0,
+            thread_priority: 50,
             headless: true,
             keep_program: false,
             servoj_gain: program.gain,
@@ -121,6 +123,9 @@ impl Parameters for DriverParameters {
         if self.robot_ip.parse::<IpAddr>().is_err() {
             problems.push(format!("'robot_ip' is {:?}: not an IP address", self.robot_ip));
         }
+        if self.thread_priority > 99 {
+            problems.push(format!("'thread_priority' is {}: 0 to 99", self.thread_priority));
+        }
         if self.frequency != 0.0 && !(1.0..=500.0).contains(&self.frequency) {
             problems.push(format!("'frequency' is {}: 0 or 1 to 500 Hz", self.frequency));
         }
@@ -152,6 +157,7 @@ impl Parameters for DriverParameters {
             "robot_ip" => "address of the controller (the virtual lab: 127.0.0.1)",
             "script_port" => "where URScript is sent: 30002, or 30003",
             "frequency" => "RTDE packages per second; 0: 125 on a CB3, 500 on an e-Series",
+            "thread_priority" => "SCHED_FIFO priority of the robot's thread (1 to 99); 0: ordinary",
             "headless" => "send the servo program; false: somebody plays it on the robot",
             "keep_program" => "send it again also after somebody has stopped it",
             "servoj_gain" => "gain of servoj, 100..2000",

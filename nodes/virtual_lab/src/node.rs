@@ -12,7 +12,7 @@ use tdv_msgs::std_srvs::srv::{SetBool, SetBoolResponse, Trigger, TriggerResponse
 use tdv_msgs::tdv_msgs::msg::{TrackedObject, TrackedObjects, TrialVerdict};
 use tdv_msgs::tf2_msgs::msg::TFMessage;
 use tdv_robot::JOINT_NAMES;
-use tdv_runtime::{Level, Node, Params, Publisher, Qos, Sender, inbox, tracked};
+use tdv_runtime::{Level, Node, Params, Publisher, Qos, Sender, inbox, realtime, tracked};
 use tdv_simulation::controller::StopReason;
 use tdv_simulation::disturbance::{Disturbance, ForcedDrop};
 use tdv_simulation::trial::PlacingGoal;
@@ -56,18 +56,22 @@ pub async fn simulate(node: Node, params: Params<LabParameters>) -> anyhow::Resu
     let mut lab = Lab::from_assets(assets.clone(), seed)?;
     lab.begin_trial(PlacingGoal { offset: [p.goal_offset[0], p.goal_offset[1]], yaw: p.goal_yaw })?;
     let address: IpAddr = p.address.parse().context("'address'")?;
-    let server = UrServer::start(
-        ServerConfig {
-            address,
-            rtde: p.rtde_port,
-            gripper: p.gripper_port,
-            dashboard: p.dashboard_port,
-            primary: p.primary_port,
-            secondary: p.secondary_port,
-            realtime: p.realtime_port,
-        },
-        assets.scene.robot.controller,
-    )?;
+    let ports = ServerConfig {
+        address,
+        rtde: p.rtde_port,
+        gripper: p.gripper_port,
+        dashboard: p.dashboard_port,
+        primary: p.primary_port,
+        secondary: p.secondary_port,
+        realtime: p.realtime_port,
+    };
+    let (priority, generation) = (p.thread_priority, assets.scene.robot.controller);
+    // The threads of its connections inherit the priority of the one that starts it.
+    let server = tokio::task::spawn_blocking(move || {
+        realtime::request("the controller's sockets", priority);
+        UrServer::start(ports, generation)
+    });
+    let server = server.await.context("the controller's sockets")??;
     let knowledge = lab.knowledge().clone();
     let tf = node.publisher::<TFMessage>("/tf_static", Qos::latched_depth(10))?;
     tf.publish(TFMessage {
@@ -97,7 +101,11 @@ pub async fn simulate(node: Node, params: Params<LabParameters>) -> anyhow::Resu
         node: node.clone(),
     };
     node.diagnostics().level(Level::Ok, format!("controller on {address}"));
-    tokio::task::spawn_blocking(move || world.run()).await.context("the physics thread")?;
+    let physics = tokio::task::spawn_blocking(move || {
+        realtime::request("the physics thread", priority);
+        world.run();
+    });
+    physics.await.context("the physics thread")?;
     Ok(())
 }
 
@@ -204,6 +212,7 @@ impl World {
             && reason != StopReason::Asked
             && !self.stops.contains(&reason)
         {
+            tracing::warn!("the robot stopped itself: {reason:?}");
             self.stops.push(reason);
         }
     }

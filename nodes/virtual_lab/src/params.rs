@@ -24,6 +24,7 @@ pub struct LabParameters {
     pub disturb: bool,
     pub drop: bool,
     pub camera: bool,
+    pub thread_priority: u8,
 }
 
 impl Default for LabParameters {
@@ -44,6 +45,7 @@ impl Default for LabParameters {
             disturb: false,
             drop: false,
             camera: true,
+            thread_priority: 50,
         }
     }
 }
@@ -71,6 +73,9 @@ impl Parameters for LabParameters {
                 self.controller
             ));
         }
+        if self.thread_priority > 99 {
+            problems.push(format!("'thread_priority' is {}: 0 to 99", self.thread_priority));
+        }
         if self.seed < 0 {
             problems.push(format!("'seed' is {}: 0 or more", self.seed));
         }
@@ -90,6 +95,9 @@ impl Parameters for LabParameters {
             "goal_offset" => "demonstrated place of the object in the reference frame (m)",
             "disturb" => "displace an object by 5 to 10 cm in mid-run",
             "drop" => "the grip fails once, soon after the lift",
+            "thread_priority" => {
+                "SCHED_FIFO priority of physics and controller (1 to 99); 0: ordinary"
+            }
             "camera" => "render and publish the camera",
             _ => "",
         }
