@@ -60,11 +60,17 @@ pub(super) fn carried(
     Ok(())
 }
 
+/// Whether the gripper's fingers are above the table; its pose is seen from what stands there.
+pub(super) fn fingers_above(pose: &Pose, table: f64) -> bool {
+    let down = -(pose.rotation * Vector3::z()).z;
+    pose.translation.z - TIP * down.max(0.0) >= table - 0.002
+}
+
 /// Path of the gripper seen from an object that stands on the table.
 pub(super) fn above_table(path: &[Pose], table: f64) -> Result<(), String> {
-    let ok = path.iter().all(|p| {
-        let down = -(p.rotation * Vector3::z()).z;
-        p.translation.z - TIP * down.max(0.0) >= table - 0.002
-    });
-    if ok { Ok(()) } else { Err("fingers below the table".into()) }
+    if path.iter().all(|p| fingers_above(p, table)) {
+        Ok(())
+    } else {
+        Err("fingers below the table".into())
+    }
 }

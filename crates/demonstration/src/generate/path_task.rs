@@ -63,7 +63,19 @@ impl<'a> PathTask<'a> {
             Role::Hand | Role::Reach => Begin::Home,
         };
         let moving = task.objects.get(&procedure.moving).cloned();
-        let poses: Vec<Pose> = procedure.trajectory.poses().copied().collect();
+        let mut poses: Vec<Pose> = procedure.trajectory.poses().copied().collect();
+        if matches!(demo.role(index), Role::Hand) {
+            // A person's hand may come from beside the table, below its top; the gripper cannot.
+            let low =
+                poses.iter().take_while(|p| !check::fingers_above(p, reference.bottom)).count();
+            if (1..poses.len()).contains(&low) {
+                poses.drain(..low);
+                notes.push(format!(
+                    "procedure '{}': its first {low} samples, with fingers below the table, are left out",
+                    procedure.name
+                ));
+            }
+        }
         let (mut path, mut warp, mut lifts) =
             (poses, WarpConfig { alpha: config.alpha, ..Default::default() }, false);
         match config.mode {

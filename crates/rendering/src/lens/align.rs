@@ -229,7 +229,8 @@ mod tests {
         assert!(e.contains("10x10") && e.contains("640x360"), "{e}");
     }
 
-    /// The real pair of cameras: with the true extrinsics, depth edges lie on colour edges.
+    /// The real pair of cameras: with the true extrinsics, depth edges lie on colour edges. Redness is
+    /// looked at: bottle and can have it, the checkerboard under them, which has edges everywhere, has none.
     #[test]
     fn real_depth_edges_lie_on_colour_edges() {
         let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -238,7 +239,7 @@ mod tests {
             eprintln!("skipped: {} is not there", folder.display());
             return;
         };
-        let color = color.into_luma8();
+        let color = color.into_rgb8();
         let raw = image::open(folder.join("depth_camera_image_200.png")).unwrap().into_luma16();
         let depth = DepthImage::from_millimetres(848, 480, raw.as_raw()).unwrap();
         let kd = Intrinsics {
@@ -269,7 +270,11 @@ mod tests {
             0.99988175,
         );
         let turn = tdv_geometry::rotation_from_matrix(&m, 1e-3).unwrap();
-        // Mean brightness step across the depth edges, the camera shifted sideways by `x` metres.
+        let redness = |u: u32, v: u32| {
+            let [r, _, b] = color.get_pixel(u, v).0;
+            f64::from(r) - f64::from(b)
+        };
+        // Mean step of the redness across the depth edges, the camera shifted sideways by `x` metres.
         let contrast = |x: f64| {
             let t = nalgebra::Translation3::new(0.01453388 + x, 0.00013995, 0.00051057);
             let aligned = DepthAligner::new(kd, &Lens::None, Pose::from_parts(t, turn), kc)
@@ -282,8 +287,7 @@ mod tests {
                     let z = |du: u32| aligned.data[(v * 960 + u + du - 2) as usize];
                     let (l, r) = (z(0), z(4));
                     if l > 0.0 && r > 0.0 && (l - r).abs() > 0.08 {
-                        let c = |du: u32| f64::from(color.get_pixel(u + du - 2, v).0[0]);
-                        sum += (c(0) - c(4)).abs();
+                        sum += (redness(u - 2, v) - redness(u + 2, v)).abs();
                         n += 1.0;
                     }
                 }
@@ -291,13 +295,13 @@ mod tests {
             (sum / f64::max(n, 1.0), filled / (960.0 * 540.0))
         };
         let (right, filled) = contrast(0.0);
-        let (left, _) = contrast(-0.03);
-        let (far, _) = contrast(0.03);
+        let (left, _) = contrast(-0.005);
+        let (far, _) = contrast(0.005);
         println!(
             "contrast {right:.1}, shifted {left:.1} and {far:.1}, {:.0} % filled",
             filled * 100.0
         );
-        assert!(filled > 0.6, "{filled}");
-        assert!(right > 1.1 * left && right > 1.1 * far, "{right} {left} {far}");
+        assert!(filled > 0.5, "{filled}");
+        assert!(right > 1.3 * left && right > 1.3 * far, "{right} {left} {far}");
     }
 }
