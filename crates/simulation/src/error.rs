@@ -51,6 +51,9 @@ pub enum SimulationError {
         /// Most, m.
         max: f64,
     },
+    /// The arm cannot be where it is to begin.
+    #[error("robot.home: the arm cannot begin there: {0}")]
+    Home(#[from] tdv_robot::IkError),
     /// A server's port cannot be had.
     #[error("{what} cannot listen on {address}: {source}; is another controller running there?")]
     Listen {

@@ -1,5 +1,6 @@
 //! Scene files (`config/scenes/NAME.yaml`): what stands where, and what is left to chance.
 
+use crate::arm::ArmModel;
 use crate::backdrop::MAX_DISTRACTORS;
 use crate::controller::Generation;
 use crate::error::SimulationError;
@@ -10,6 +11,7 @@ use std::path::{Path, PathBuf};
 use tdv_geometry::Pose;
 use tdv_geometry::nalgebra::Point3;
 use tdv_rendering::{Intrinsics, look_at};
+use tdv_robot::{IkError, IkSelection};
 
 pub use crate::draw::Knowledge;
 
@@ -269,6 +271,22 @@ pub struct RobotConfig {
     /// A push against the arm harder than this (N) stops it for protection.
     #[serde(default = "default_force")]
     pub force_limit: f64,
+}
+
+impl RobotConfig {
+    /// Joint angles at the start, rad: `home` is a UR5's; a UR5e begins with its tool at the same place.
+    ///
+    /// # Errors
+    /// [`IkError`] when it cannot.
+    pub fn start(&self) -> Result<[f64; 6], IkError> {
+        match self.controller.arm() {
+            ArmModel::Ur5 => Ok(self.home),
+            arm => {
+                let tcp = ArmModel::Ur5.kinematics().fk_tcp(&self.home);
+                arm.kinematics().nearest_tcp(&tcp, &self.home, &IkSelection::default())
+            }
+        }
+    }
 }
 
 fn yes() -> bool {
@@ -536,12 +554,29 @@ mod tests {
         let scenes = all();
         assert!(scenes.len() >= 2);
         for s in scenes {
-            let frames = crate::arm::link_frames(&s.robot.home);
+            let frames = s.robot.controller.arm().link_frames(&s.robot.home);
             let tcp = frames[6] * Pose::translation(0.0, 0.0, crate::gripper::TCP_OFFSET);
             let want = pose_from_xyz_rpy([0.40, 0.0, 0.35], [std::f64::consts::PI, 0.0, 0.0]);
             let (d, a) = tdv_geometry::pose_distance(&tcp, &want);
             assert!(d < 1e-3 && a < 1e-3, "{}: home is off by {d} m, {a} rad", s.name);
         }
+    }
+
+    #[test]
+    fn another_arm_begins_with_its_tool_at_the_same_place() {
+        let mut robot = all().remove(0).robot;
+        let tool = |r: &RobotConfig| r.controller.arm().kinematics().fk_tcp(&r.start().unwrap());
+        robot.controller = Generation::Cb3;
+        let (ur5, q) = (tool(&robot), robot.start().unwrap());
+        assert_eq!(q, robot.home);
+        robot.controller = Generation::ESeries;
+        let (d, a) = tdv_geometry::pose_distance(&tool(&robot), &ur5);
+        assert!(d < 1e-9 && a < 1e-9, "{d} m, {a} rad");
+        let turn = (0..6).map(|i| (robot.start().unwrap()[i] - q[i]).abs()).fold(0.0, f64::max);
+        assert!((0.02..0.5).contains(&turn), "{turn} rad: the same branch, another arm");
+        robot.home = [0.0; 6];
+        robot.home[1] = -0.2;
+        assert!(robot.start().is_err(), "stretched beyond the other arm's reach");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! What the arm and the gripper look like. Plain shapes, told apart from objects by being grey, blue
 //! and black.
 
-use crate::arm::{PIECES, Paint};
+use crate::arm::{ArmModel, Paint};
 use crate::gripper::{FINGER_THICKNESS, PAD_LENGTH, PAD_THICKNESS, PAD_WIDTH};
 use crate::parts::{Part, Solid};
 use crate::world::{finger_parts, palm_parts};
@@ -19,7 +19,7 @@ const STEEL: [u8; 3] = [120, 122, 126];
 /// Meshes of the robot, each in the frame that it moves with.
 #[derive(Debug, Clone)]
 pub struct RobotMeshes {
-    /// One for each of [`crate::arm::link_frames`]; the last one is the flange with the palm.
+    /// One for each of [`ArmModel::link_frames`]; the last one is the flange with the palm.
     pub links: [Mesh; 7],
     /// The fingers, origin in the middle of the pad's face, +y side first.
     pub fingers: [Mesh; 2],
@@ -27,9 +27,9 @@ pub struct RobotMeshes {
 
 impl RobotMeshes {
     /// Builds them.
-    pub fn new() -> Self {
+    pub fn new(arm: ArmModel) -> Self {
         let mut links: [Mesh; 7] = Default::default();
-        for p in &PIECES {
+        for p in &arm.pieces() {
             let color = match p.paint {
                 Paint::Tube => TUBE,
                 Paint::Cap => CAP,
@@ -44,12 +44,6 @@ impl RobotMeshes {
         let rail = primitives::rounded_cuboid([0.034, 0.122, 0.020], 0.004, DARK);
         links[6].append(&rail.transformed(&Pose::translation(0.0, 0.0, 0.068)));
         Self { links, fingers: [finger(1.0), finger(-1.0)] }
-    }
-}
-
-impl Default for RobotMeshes {
-    fn default() -> Self {
-        Self::new()
     }
 }
 
@@ -96,7 +90,7 @@ mod tests {
 
     #[test]
     fn the_robot_has_a_sensible_size_and_few_triangles() {
-        let r = RobotMeshes::new();
+        let r = RobotMeshes::new(ArmModel::Ur5);
         let all: usize = r.links.iter().chain(&r.fingers).map(|m| m.triangles.len()).sum();
         assert!((500..8000).contains(&all), "{all}");
         let (low, high) = r.links[2].bounds();

@@ -1,7 +1,7 @@
 //! The physical world: a table, objects, the arm as kinematic bodies, two dynamic fingers with a
 //! limited force. What is carried is carried by friction alone.
 
-use crate::arm::{self, PIECES};
+use crate::arm::{ArmModel, LinkPiece};
 use crate::contacts::{Contacts, Tag};
 use crate::gripper::{
     FINGER_ROOT, FINGER_THICKNESS, FingerDrive, PAD_LENGTH, PAD_THICKNESS, PAD_WIDTH, PALM_FRONT,
@@ -37,6 +37,8 @@ pub struct Body {
 /// Numbers of the physics that are not objects.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WorldConfig {
+    /// The arm.
+    pub arm: ArmModel,
     /// Table top from x, y to x, y in `base_link`, m; its surface is z = 0.
     pub table: [[f64; 2]; 2],
     /// Friction of the table.
@@ -50,6 +52,7 @@ pub struct WorldConfig {
 impl Default for WorldConfig {
     fn default() -> Self {
         Self {
+            arm: ArmModel::default(),
             table: [[-0.35, -0.75], [1.15, 0.75]],
             table_friction: 0.5,
             pad_friction: 0.9,
@@ -128,7 +131,7 @@ impl World {
             .user_data(Tag::Floor.to_user_data());
         physics.insert_collider(floor, None);
 
-        let poses = arm::link_frames(q);
+        let poses = config.arm.link_frames(q);
         let frames = poses.map(|pose| {
             physics.insert_body(
                 RigidBodyBuilder::kinematic_position_based()
@@ -137,7 +140,7 @@ impl World {
             )
         });
         let mut moving = Vec::new();
-        for piece in PIECES {
+        for piece in config.arm.pieces() {
             let handle = physics.insert_collider(arm_collider(&piece), Some(frames[piece.frame]));
             if piece.frame >= 2 {
                 moving.push(handle);
@@ -209,7 +212,7 @@ impl World {
 
     /// One tick: the arm goes to the joint angles `q` (rad) within it.
     pub fn step(&mut self, q: &[f64; 6]) {
-        for (handle, pose) in self.frames.iter().zip(arm::link_frames(q)) {
+        for (handle, pose) in self.frames.iter().zip(self.config.arm.link_frames(q)) {
             if let Some(body) = self.physics.bodies.get_mut(*handle) {
                 body.set_next_kinematic_position(units::pose(&pose));
             }
@@ -303,7 +306,7 @@ impl World {
         [self.finger_offset(&self.fingers[0]).0, self.finger_offset(&self.fingers[1]).0]
     }
 
-    /// Poses of the link frames (see [`arm::link_frames`]).
+    /// Poses of the link frames (see [`ArmModel::link_frames`]).
     pub fn link_poses(&self) -> [Pose64; 7] {
         self.frames.map(|h| self.body_pose(h))
     }
@@ -408,7 +411,7 @@ fn groups(member: Group, filter: Group) -> InteractionGroups {
 }
 
 /// The capsule of a round piece; its ends are drawn in so that the caps do not stick out far.
-fn arm_collider(piece: &arm::LinkPiece) -> ColliderBuilder {
+fn arm_collider(piece: &LinkPiece) -> ColliderBuilder {
     let (a, b) = (Vector3::from(piece.a), Vector3::from(piece.b));
     let (mid, half) = (0.5 * (a + b), 0.5 * (b - a));
     let length = half.norm();

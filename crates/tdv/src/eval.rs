@@ -10,6 +10,7 @@ use tdv_robot::Kinematics;
 use tdv_runtime::record::Recording;
 use tdv_runtime::trial::{FaultSetup, TrialOutcome, TrialSetup, run_trial, shutdown_on_signals};
 use tdv_simulation::Scene;
+use tdv_simulation::controller::Generation;
 
 /// Seconds of the clock that a trial may take: the task's limit and the start of eight processes.
 const PATIENCE: f64 = 85.0;
@@ -39,7 +40,7 @@ pub fn closed_loop(args: &ClosedLoopArgs) -> anyhow::Result<bool> {
     let scene = Scene::load(Path::new(&task.scene))?;
     std::fs::create_dir_all(&args.run).with_context(|| args.run.display().to_string())?;
     let shutdown = shutdown_on_signals()?;
-    let arm = Kinematics::ur5();
+    let arm = if e_series(args, &scene) { Kinematics::ur5e() } else { Kinematics::ur5() };
     let (mut stream, mut measured) = (StreamStatistics::default(), BTreeMap::new());
     let (mut trials, mut latency, mut cpu) = (Vec::new(), BTreeMap::new(), BTreeMap::new());
     for seed in args.seed..args.seed + args.trials {
@@ -101,6 +102,14 @@ pub fn closed_loop(args: &ClosedLoopArgs) -> anyhow::Result<bool> {
         write_json(path, &report)?;
     }
     Ok(report.summary.successes == report.summary.trials)
+}
+
+/// Whether the lab has the newer controller, and so the newer arm.
+fn e_series(args: &ClosedLoopArgs, scene: &Scene) -> bool {
+    match args.controller.as_deref() {
+        Some(name) => name == "e_series",
+        None => scene.robot.controller == Generation::ESeries,
+    }
 }
 
 /// Says what a bag does not have.
@@ -175,6 +184,7 @@ pub fn setup(
     if let Some(controller) = &args.controller {
         set("controller", controller.clone());
     }
+    set("robot", if e_series(args, scene) { "ur5e" } else { "ur5" }.into());
     set("disturb", args.disturb.to_string());
     set("drop", args.drop.to_string());
     set("driver", args.driver.is_none().to_string());

@@ -77,7 +77,7 @@ impl Core {
         Self {
             generation,
             time: 0.0,
-            mover: Mover::new(q, generation.cycle()),
+            mover: Mover::new(q, generation.arm(), generation.cycle()),
             power: Power::new(running),
             safety: SafetyMode::Normal,
             stop: None,

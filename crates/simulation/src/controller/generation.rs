@@ -1,3 +1,5 @@
+use crate::arm::ArmModel;
+
 /// Which controller generation is imitated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -10,6 +12,14 @@ pub enum Generation {
 }
 
 impl Generation {
+    /// The arm that it drives.
+    pub fn arm(self) -> ArmModel {
+        match self {
+            Self::Cb3 => ArmModel::Ur5,
+            Self::ESeries => ArmModel::Ur5e,
+        }
+    }
+
     /// Control cycle, s.
     pub fn cycle(self) -> f64 {
         match self {

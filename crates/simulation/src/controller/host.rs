@@ -266,7 +266,7 @@ impl Core {
                 return pose(&self.mover.fk(&self.mover.q));
             }
             "get_actual_tool_flange_pose" => {
-                return pose(&super::Controller::tool_pose_at(&self.mover.q));
+                return pose(&self.mover.flange(&self.mover.q));
             }
             "get_actual_tcp_speed" | "get_target_tcp_speed" => {
                 return list(self.mover.tcp_speed().as_slice());
@@ -319,7 +319,7 @@ impl Core {
                     Value::Nothing => *self.mover.tool(),
                     v => pose_of(&numbers(v, "tcp")?),
                 };
-                return pose(&(super::Controller::tool_pose_at(&q) * tool));
+                return pose(&(self.mover.flange(&q) * tool));
             }
             "is_within_safety_limits" => {
                 let within = match &a[0] {

@@ -3,6 +3,7 @@
 use super::profile::Trapezoid;
 use super::servo;
 use super::{MAX_ACCELERATION, MAX_SPEED, POSITION_LIMIT, STOP_DECELERATION};
+use crate::arm::ArmModel;
 use tdv_geometry::nalgebra::{Vector3, Vector6};
 use tdv_geometry::{Pose, interpolate};
 use tdv_robot::{IkSelection, Kinematics, base_link_to_base};
@@ -82,8 +83,8 @@ fn half_turn(x: &Vector6<f64>) -> Vector6<f64> {
 }
 
 impl Mover {
-    pub(crate) fn new(q: Six, cycle: f64) -> Self {
-        let kinematics = Kinematics::ur5().with_tool(Pose::identity());
+    pub(crate) fn new(q: Six, arm: ArmModel, cycle: f64) -> Self {
+        let kinematics = arm.kinematics().with_tool(Pose::identity());
         Self { q, qd: [0.0; 6], qdd: [0.0; 6], motion: Motion::Rest, kinematics, cycle, scale: 1.0 }
     }
 
@@ -93,7 +94,12 @@ impl Mover {
     }
 
     pub(crate) fn set_tool(&mut self, tool: Pose) {
-        self.kinematics = Kinematics::ur5().with_tool(tool);
+        self.kinematics = self.kinematics.clone().with_tool(tool);
+    }
+
+    /// `T_base_tool0` at other joint angles.
+    pub(crate) fn flange(&self, q: &Six) -> Pose {
+        base_link_to_base().inverse() * self.kinematics.frames(q)[6]
     }
 
     /// `T_base_tcp` at other joint angles.

@@ -5,7 +5,6 @@ use super::{
     Controller, Generation, Inputs, Lines, Message, RESUME, Registers, RobotMode, RuntimeState,
     SafetyMode, StopReason,
 };
-use crate::arm;
 use tdv_geometry::Pose;
 
 impl Controller {
@@ -36,12 +35,7 @@ impl Controller {
 
     /// `T_base_tool0`: the flange in the controller's own frame `base`.
     pub fn tool_pose(&self) -> Pose {
-        Self::tool_pose_at(self.q())
-    }
-
-    /// `T_base_tool0` at other joint angles.
-    pub fn tool_pose_at(q: &[f64; 6]) -> Pose {
-        arm::base_link_to_base().inverse() * arm::link_frames(q)[6]
+        self.core.mover.flange(self.q())
     }
 
     /// `T_base_tcp`: the tool centre point that the program has set.

@@ -2,7 +2,7 @@
 
 mod displace;
 
-use crate::arm;
+use crate::arm::base_link_to_base;
 use crate::contacts::Contacts;
 use crate::controller::{Controller, StopReason};
 use crate::draw::Knowledge;
@@ -64,7 +64,8 @@ impl LabAssets {
         }
         let radius = scene.drops.as_ref().map_or(0.004, |d| d.radius);
         let drop = sphere(radius, 8, WATER);
-        Ok(Self { scene, files, meshes, robot: RobotMeshes::new(), drop })
+        let robot = RobotMeshes::new(scene.robot.controller.arm());
+        Ok(Self { scene, files, meshes, robot, drop })
     }
 
     /// What to draw at the given poses (see [`Lab::render_poses`]): objects, arm links, fingers,
@@ -185,8 +186,8 @@ impl Lab {
             let mount = mount_of(scene, &object.mount)?;
             bodies.push(Body { name: object.name.clone(), mass, friction, parts, pose, mount });
         }
-        let home = scene.robot.home;
-        let mut world = World::new(WorldConfig::default(), &bodies, &home);
+        let (arm, home) = (scene.robot.controller.arm(), scene.robot.start()?);
+        let mut world = World::new(WorldConfig { arm, ..WorldConfig::default() }, &bodies, &home);
         if let Some(drops) = &scene.drops {
             let cup = bodies[scene.index_of(&drops.inside)?].pose;
             let places = filling(drops.count, drops.radius, drops.cup_radius, drops.cup_floor);
@@ -227,7 +228,7 @@ impl Lab {
         self.world.step(self.controller.q());
         self.contacts = self.world.contacts();
         // The controller gives forces in its base, which is base_link turned by pi about z.
-        let f = arm::base_link_to_base().rotation.inverse() * self.tool_force();
+        let f = base_link_to_base().rotation.inverse() * self.tool_force();
         self.controller.set_tcp_force([f.x, f.y, f.z, 0.0, 0.0, 0.0]);
         self.protect();
         if self.world.ticks().is_multiple_of(JUDGE_EVERY) {
@@ -272,7 +273,8 @@ impl Lab {
     fn leaving(&self) -> bool {
         let q = self.controller.q();
         let ahead: [f64; 6] = std::array::from_fn(|i| q[i] + 0.01 * self.controller.qd()[i]);
-        arm::link_frames(&ahead)[6].translation.z > arm::link_frames(q)[6].translation.z + 1e-6
+        let height = |q| self.world.config().arm.link_frames(q)[6].translation.z;
+        height(&ahead) > height(q) + 1e-6
     }
 
     fn look(&mut self) {

@@ -204,7 +204,7 @@ const FIELDS: &[(&str, Get)] = &[
 
 /// The elbow in the controller's base, m.
 pub(crate) fn elbow(c: &Controller) -> [f64; 3] {
-    let frame = crate::arm::link_frames(c.q())[2];
+    let frame = c.generation().arm().link_frames(c.q())[2];
     let e = crate::arm::base_link_to_base().inverse() * frame.translation.vector;
     [e.x, e.y, e.z]
 }

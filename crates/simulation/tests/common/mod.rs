@@ -7,7 +7,7 @@ use std::path::Path;
 use tdv_geometry::nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
 use tdv_geometry::{Pose, pose_from_xyz_rpy, smooth_step};
 use tdv_rendering::ObjectFile;
-use tdv_simulation::arm::link_frames;
+use tdv_simulation::arm::ArmModel;
 use tdv_simulation::gripper::{FingerDrive, STROKE, TCP_OFFSET};
 use tdv_simulation::mount::Mount;
 use tdv_simulation::parts::Part;
@@ -25,7 +25,7 @@ pub fn solve(tcp: &Pose, seed: &[f64; 6]) -> [f64; 6] {
     let goal = tcp * Pose::translation(0.0, 0.0, -TCP_OFFSET);
     let mut q = *seed;
     let error = |q: &[f64; 6]| -> Vector6<f64> {
-        let now = link_frames(q)[6];
+        let now = ArmModel::Ur5.link_frames(q)[6];
         let t = goal.translation.vector - now.translation.vector;
         let r = (goal.rotation * now.rotation.inverse()).scaled_axis();
         Vector6::new(t.x, t.y, t.z, r.x, r.y, r.z)
