@@ -12,7 +12,7 @@ use tdv_geometry::{Pose, pose_distance};
 
 /// A hand this near (m, rad) to a pose stands still there.
 const STILL: (f64, f64) = (0.003, 0.1);
-/// At most so much of the time before or after (s) is averaged.
+/// At most so much of the time after closing (s) is averaged.
 const WINDOW: f64 = 0.4;
 /// The span of thumb and index that counts as unchanged (m).
 const SAME_SPAN: f64 = 0.003;
@@ -41,10 +41,10 @@ impl Hand<'_> {
         frames.find(|i| self.span(*i).is_some_and(|s| (s - span).abs() < SAME_SPAN))
     }
 
-    /// Mean over the frames that stand still with `at`, forwards or back.
-    fn rest(&self, at: usize, frames: impl Iterator<Item = usize>) -> Pose {
+    /// Mean over the frames from `at` on, at most to `last`, that stand still.
+    fn rest(&self, [at, last]: [usize; 2]) -> Pose {
         let here = self.path[at];
-        let still = frames
+        let still = (at..=last)
             .take_while(|i| {
                 let (d, a) = pose_distance(&self.path[*i], &here);
                 d < STILL.0 && a < STILL.1 && (self.times[*i] - self.times[at]).abs() <= WINDOW
@@ -82,7 +82,7 @@ impl Hand<'_> {
             let (close, end) =
                 (bounds[k][1], held.clone().last().map_or(bounds[k][1], |j| bounds[j][1]));
             let closed = self.closed(close, end);
-            let shown = self.rest(closed[0], closed[0]..=closed[1]);
+            let shown = self.rest(closed);
             let grip = references[k] * fitted(&(references[k].inverse() * shown), config, report)?;
 
             let open = self.still_open(bounds[k]);
@@ -101,8 +101,7 @@ impl Hand<'_> {
                     out[j][0] = grip;
                 }
                 if Some(j) == until {
-                    let last = self.rest(b, (a..=b).rev()) * carry;
-                    end_at(&mut out[j], last);
+                    end_at(&mut out[j], self.path[b] * carry);
                 }
             }
             k = held.end.max(k + 1);

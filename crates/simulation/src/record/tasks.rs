@@ -131,7 +131,7 @@ const POUR: f64 = 1.80;
 /// Where the lip is while the drops leave it, seen from the middle of the tumbler's underside: x, z (m).
 /// They fly 2 to 6 cm towards -x before they are at the tumbler's rim, so the lip is before its middle, and
 /// no higher above it than the gripper needs.
-const LIP: [f64; 2] = [0.028, 0.155];
+const LIP: [f64; 2] = [0.028, 0.165];
 /// How much higher the lip comes, so that the upright mug passes over the tumbler (m), and how far the mug is
 /// tilted when that is gone (rad).
 const OVER: (f64, f64) = (0.060, 1.0);
