@@ -3,6 +3,7 @@
 mod carry;
 mod events;
 mod grasp;
+mod hand_grip;
 mod hand_task;
 mod input;
 mod object_task;

@@ -89,25 +89,12 @@ pub(super) fn grasp(
     );
     let (fitted, width, change) = fit(&demonstrated, config)?;
     report.grasp_change = change;
-    for (v, unit, text) in [
-        (
-            change.closing_deg,
-            "deg",
-            "closing axis turned to the nearest the gripper can close along",
-        ),
-        (change.approach_deg, "deg", "approach turned towards straight down"),
-        (change.sideways, "m", "moved sideways so that the object's axis is between the fingers"),
-        (change.height, "m", "height on the object moved into the allowed range"),
-    ] {
-        if v.abs() > 1e-6 {
-            report.note(RepairKind::GraspFitted, "grasp", 1, v, unit, text);
-        }
-    }
+    report.note_grasp(&change);
     Ok((canonical_tool(&fitted, &demonstrated).0, width))
 }
 
 /// The grasp nearest to `T_object_tcp` that the gripper can do; the object's z axis points up.
-fn fit(
+pub(super) fn fit(
     pose: &Pose,
     config: &GraspConfig,
 ) -> Result<(Pose, Option<f64>, GraspChange), DemonstrationError> {

@@ -1,9 +1,10 @@
 //! The gripper's own path: procedures that move the tcp.
 
 use super::carry::pin_ends;
+use super::hand_grip::Hand;
 use super::{ParseConfig, ParseReport, RepairKind, events, grasp, timed};
 use crate::filter::{robust_mean, smooth};
-use crate::{DemonstrationError, ProcedureDemo, ProcedureSpec, Remapped, gripper_symmetry};
+use crate::{DemonstrationError, ProcedureDemo, ProcedureSpec, Remapped, Task, gripper_symmetry};
 use tdv_geometry::{Pose, Symmetry};
 
 /// What comes of it: the hand's smoothed path in base_link and the procedures' first and last frame.
@@ -80,25 +81,33 @@ pub(super) fn hand_path(
 }
 
 impl HandPath {
-    /// The procedures; `references`: `T_base_reference` of each.
+    /// The procedures; `references`: `T_base_reference` of each. Where the hand takes hold of something, the
+    /// gripper does as the task's `grasp` says.
     pub(super) fn procedures(
         &self,
         specs: &[ProcedureSpec],
         references: &[Pose],
+        tools: &[Option<Remapped>],
+        task: &Task,
+        report: &mut ParseReport,
     ) -> Result<Vec<ProcedureDemo>, DemonstrationError> {
+        let bounds: Vec<_> = self.bounds.iter().map(|b| b.map(|i| i - self.offset)).collect();
+        let tools = &tools[self.offset..self.offset + self.path.len()];
+        let hand = Hand { path: &self.path, times: &self.times, tools };
+        let parts = hand.as_gripper(specs, &bounds, references, task, report)?;
         specs
             .iter()
             .zip(references)
-            .zip(&self.bounds)
-            .map(|((spec, reference), [a, b])| {
-                let range = a - self.offset..=b - self.offset;
-                let poses: Vec<Pose> =
-                    self.path[range.clone()].iter().map(|p| reference.inverse() * p).collect();
+            .zip(parts.iter().zip(&bounds))
+            .map(|((spec, reference), (part, [a, _]))| {
+                let poses: Vec<Pose> = part.iter().map(|p| reference.inverse() * p).collect();
+                // A part that was shortened keeps the times from its begin.
+                let times = &self.times[*a..a + poses.len()];
                 Ok(ProcedureDemo {
                     name: spec.name.clone(),
                     moving: crate::TCP.into(),
                     reference: spec.reference.clone(),
-                    trajectory: timed(&poses, &self.times[range], &spec.name)?,
+                    trajectory: timed(&poses, times, &spec.name)?,
                     moving_symmetry: gripper_symmetry(),
                     reference_symmetry: Symmetry::None,
                     end: spec.end,

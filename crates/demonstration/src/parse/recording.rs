@@ -226,7 +226,7 @@ impl Recording<'_> {
             let frames = window.start + a..window.start + b + 1;
             references.push(self.reference_during(s, frames, main, report)?);
         }
-        let mut procedures = path.procedures(specs, &references)?;
+        let mut procedures = path.procedures(specs, &references, tools, self.task, report)?;
         for (p, r) in procedures.iter_mut().zip(&references) {
             p.reference_pose = Some(*r).filter(|r| r != main);
         }

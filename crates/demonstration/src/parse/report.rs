@@ -146,6 +146,28 @@ impl ParseReport {
         }
     }
 
+    /// What was changed in fitting a grasp to the gripper.
+    pub(super) fn note_grasp(&mut self, change: &GraspChange) {
+        for (v, unit, text) in [
+            (
+                change.closing_deg,
+                "deg",
+                "closing axis turned to the nearest the gripper can close along",
+            ),
+            (change.approach_deg, "deg", "approach turned towards straight down"),
+            (
+                change.sideways,
+                "m",
+                "moved sideways so that the object's axis is between the fingers",
+            ),
+            (change.height, "m", "height on the object moved into the allowed range"),
+        ] {
+            if v.abs() > 1e-6 {
+                self.note(RepairKind::GraspFitted, "grasp", 1, v, unit, text);
+            }
+        }
+    }
+
     pub(super) fn note_smoothing(&mut self, what: &str, seen: &[(usize, Pose, f64)], out: &[Pose]) {
         let mut change: Vec<f64> =
             seen.iter().map(|(i, p, _)| pose_distance(p, &out[*i]).0).collect();

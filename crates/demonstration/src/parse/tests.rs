@@ -477,8 +477,8 @@ fn a_pour_ends_in_the_hand_and_may_be_a_procedure_of_its_own() {
     }
 }
 
-#[test]
-fn a_hand_task_with_a_grip_in_the_middle() {
+/// A hand, tilted by 0.3 rad, takes a handle and draws it out by 0.12 m.
+fn drawn_out() -> (Vec<FrameObservation>, Task) {
     use GripperEnd::{Close, Open};
     let mut frames = Vec::new();
     let drawer = pose_from_xyz_rpy([0.55, 0.1, 0.1], [0.0; 3]);
@@ -507,6 +507,12 @@ fn a_hand_task_with_a_grip_in_the_middle() {
             stands: false,
         },
     )]);
+    (frames, t)
+}
+
+#[test]
+fn a_hand_task_with_a_grip_in_the_middle() {
+    let (mut frames, t) = drawn_out();
     let (d, r) = parse(&frames, &t, &ParseConfig::default()).unwrap();
     let bounds: Vec<i64> =
         r.segments.unwrap().procedures.iter().map(|s| s.last / 33_333_333).collect();
@@ -533,6 +539,50 @@ fn a_hand_task_with_a_grip_in_the_middle() {
     }
     let e = parse(&frames, &t, &ParseConfig::default()).unwrap_err();
     assert!(matches!(e, DemonstrationError::NoBoundary { .. }), "{e}");
+}
+
+#[test]
+fn the_gripper_closes_where_the_task_says_that_the_handle_is() {
+    let (frames, mut t) = drawn_out();
+    // In the drawer's frame the hand's tool closes at (-0.15, 0.0, 0.02), tilted.
+    t.grasp = crate::GraspConfig {
+        closing: vec![crate::ClosingAxis { axis: [0.0, 1.0, 0.0], width: 0.02 }],
+        max_tilt_deg: 0.0,
+        centre: true,
+        middle: Some([-0.142, 0.006]),
+        height: Some([0.035, 0.045]),
+        ..Default::default()
+    };
+    let (d, r) = parse(&frames, &t, &ParseConfig::default()).unwrap();
+    assert!((r.grasp_change.sideways - 0.010).abs() < 1e-3, "{:?}", r.grasp_change);
+    assert!((r.grasp_change.height - 0.015).abs() < 1e-3, "{:?}", r.grasp_change);
+    assert!((r.grasp_change.approach_deg - 0.3f64.to_degrees()).abs() < 1.0);
+    let grip = d.procedures[0].goal();
+    let off = grip.translation.vector - Vector3::new(-0.142, 0.006, 0.035);
+    assert!(off.norm() < 1e-9 && (grip.rotation * Vector3::z()).z < -1.0 + 1e-9, "{grip}");
+    // Before, the gripper is where the hand has it, and comes down with it along the hand's approach.
+    let reach: Vec<Pose> = d.procedures[0].trajectory.poses().copied().collect();
+    assert!((reach[0].translation.vector - grip.translation.vector).norm() > 0.2);
+    for p in &reach {
+        assert!(p.rotation.angle_to(&grip.rotation) < 0.02);
+    }
+    // What is held goes where the hand takes it, no farther aside than a millimetre, not turned.
+    let pull = &d.procedures[1].trajectory;
+    assert_eq!(pull.first().pose, grip);
+    let mut x = 0.0;
+    for p in pull.poses() {
+        let moved = p.translation.vector - grip.translation.vector;
+        assert!(moved.yz().norm() < 1e-3 && p.rotation.angle_to(&grip.rotation) < 0.01, "{moved}");
+        assert!(moved.x < x + 1e-3, "back by {}", moved.x - x);
+        x = moved.x;
+    }
+    assert!((x + 0.12).abs() < 1e-3, "drawn out by {x}");
+    // As demonstrated where the task says nothing.
+    t.grasp = crate::GraspConfig::default();
+    let (d, r) = parse(&frames, &t, &ParseConfig::default()).unwrap();
+    assert!(r.of(RepairKind::GraspFitted).next().is_none());
+    let shown = d.procedures[0].goal();
+    assert!(shown.rotation.angle_to(&grip.rotation) > 0.25);
 }
 
 #[test]

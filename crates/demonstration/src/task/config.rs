@@ -110,6 +110,10 @@ pub struct GraspConfig {
     pub max_tilt_deg: f64,
     /// Move the grasp sideways so that the object's z axis lies between the fingers.
     pub centre: bool,
+    /// Where (x, y, m) that axis stands in the frame of a hand's reference, of which what is held is a part;
+    /// none = at its origin. What an object's grasp is centred on is the object.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub middle: Option<[f64; 2]>,
     /// Range of the tcp's height in the object frame (m).
     pub height: Option<[f64; 2]>,
 }
@@ -123,6 +127,7 @@ impl Default for GraspConfig {
             max_turn_deg: 90.0,
             max_tilt_deg: 180.0,
             centre: false,
+            middle: None,
             height: None,
         }
     }
@@ -138,6 +143,11 @@ impl GraspConfig {
             && !(h[0] <= h[1] && h[0].abs() < 1.0 && h[1].abs() < 1.0)
         {
             p.push(format!("{at}.height {h:?} must be [low, high] within +-1 m"));
+        }
+        if let Some(m) = self.middle
+            && !m.iter().all(|v| v.abs() < 1.0)
+        {
+            p.push(format!("{at}.middle {m:?} must be within +-1 m"));
         }
         for (i, c) in self.closing.iter().enumerate() {
             if !(1e-6..1e6).contains(&Vector3::from(c.axis).norm()) {

@@ -126,31 +126,44 @@ fn ring_on_peg(base: DemoConfig) -> TaskDemo {
     }
 }
 
-/// How far the mug is tilted (rad).
-const POUR: f64 = 1.75;
+/// How far the mug is tilted at last (rad).
+const POUR: f64 = 1.80;
+/// Where the lip is while the drops leave it, seen from the middle of the tumbler's underside: x, z (m).
+/// They fly 2 to 6 cm towards -x before they are at the tumbler's rim, so the lip is before its middle, and
+/// no higher above it than the gripper needs.
+const LIP: [f64; 2] = [0.028, 0.165];
+/// How much higher the lip comes, so that the upright mug passes over the tumbler (m), and how far the mug is
+/// tilted when that is gone (rad).
+const OVER: (f64, f64) = (0.060, 1.0);
+/// Parts that the tilting is drawn in.
+const TILTS: u32 = 6;
 
-/// Where the mug is held over the tumbler and where it is tilted: its mouth comes to lie over the
-/// tumbler, a little before its middle, and it opens towards the robot's base.
-fn pour_poses(tumbler: &Pose) -> [Pose; 2] {
+/// The mug over the tumbler when it is tilted by `angle`, its mouth towards the robot's base: it turns about
+/// its lip.
+fn pour_pose(tumbler: &Pose, angle: f64) -> Pose {
     let t = tumbler.translation.vector;
-    let over = at(t.x + 0.080, t.y, 0.200, 0.0);
-    let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), -POUR);
-    let rim = Vector3::new(t.x + 0.024, t.y, 0.200);
-    // The lowest point of the rim, on the mug's -x side once it is tilted.
-    let tilted =
-        Pose::from_parts(Translation3::from(rim - turn * Vector3::new(-0.032, 0.0, 0.090)), turn);
-    [over, tilted]
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), -angle);
+    let high = OVER.0 * (1.0 - angle / OVER.1).max(0.0);
+    let lip = Vector3::new(t.x + LIP[0], t.y, t.z + LIP[1] + high);
+    // The rim's lowest point is on the mug's -x side.
+    Pose::from_parts(Translation3::from(lip - turn * Vector3::new(-0.032, 0.0, 0.090)), turn)
 }
 
 fn pour_water(base: DemoConfig) -> TaskDemo {
     let tumbler = at(0.45, -0.20, 0.0, 0.0);
     let start = at(0.52, 0.10, 0.0, 0.2);
-    let [over, tilted] = pour_poses(&tumbler);
-    let script = take(Pose::identity(), &start, 0.12)
-        .then(lifted(&start, 0.200), 1.2, 0.0)
-        .then(over, 2.0, 0.4)
-        .then(tilted, 3.2, 0.0)
-        .dwell(1.5);
+    let over = pour_pose(&tumbler, 0.0);
+    let tilted = pour_pose(&tumbler, POUR);
+    let mut script = take(Pose::identity(), &start, 0.12)
+        .then(lifted(&start, 0.170), 1.2, 0.0)
+        .then(over, 2.0, 0.4);
+    for k in 1..=TILTS {
+        let angle = POUR * f64::from(k) / f64::from(TILTS);
+        // The parts run into one another: it never stops.
+        let overlap = if k == 1 { 0.0 } else { 0.45 };
+        script = script.then(pour_pose(&tumbler, angle), 0.9, overlap);
+    }
+    let script = script.dwell(1.5);
     TaskDemo {
         config: DemoConfig {
             reference: tumbler,
