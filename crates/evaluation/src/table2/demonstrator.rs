@@ -105,7 +105,6 @@ pub(super) fn start_yaw(demonstration: &Demonstration) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use crate::table2::Stage;
     use std::path::Path;
     use tdv_demonstration::GripperEnd::{Close, None as Stay, Open};

@@ -84,12 +84,18 @@ impl Default for ExecutorParams {
 pub struct JointTrajectoryExecutor {
     params: ExecutorParams,
     knots: Vec<Knot>,
-    /// Time of knot 0; knot times are seconds from here.
+    /// When the trajectory was accepted; knot times are seconds from here, and negative for what is left
+    /// of the one before.
     start: Stamp,
 }
 
 /// A trajectory that replaces a running one is merged into within this time (s).
 const MERGE: f64 = 0.02;
+/// What has to be caught up with may take until this time (s).
+const JOIN: f64 = 0.1;
+/// Times (s) before a replacement at which the replaced trajectory is kept: it may be asked for what was
+/// due before, when the states of the robot are late.
+const KEPT: [f64; 5] = [-0.04, -0.032, -0.024, -0.016, -0.008];
 
 impl JointTrajectoryExecutor {
     /// Without a trajectory; [`Self::sample`] gives nothing until the first one or a [`Self::hold`].
@@ -152,16 +158,42 @@ impl JointTrajectoryExecutor {
                 knots[0] = Knot { time: 0.0, q, qd: None, qdd: None };
             }
         }
-        self.knots = knots;
+        let before = KEPT.iter().filter_map(|time| {
+            let Desired { q, qd } = self.sample(at.plus(*time))?;
+            Some(Knot { time: *time, q, qd: Some(qd), qdd: None })
+        });
+        self.knots = before.chain(knots).collect();
         self.start = at;
         Ok(())
     }
 
+    /// The present state and the first point after it.
+    fn entry(&self) -> Option<(usize, &Knot, &Knot)> {
+        let i = self.knots.partition_point(|k| k.time < 0.0) + 1;
+        Some((i, self.knots.get(i - 1)?, self.knots.get(i)?))
+    }
+
     /// Greatest mean speed (rad/s) of a joint on the way from the present state to the first point.
     pub fn entry_speed(&self) -> f64 {
-        let [a, b, ..] = self.knots.as_slice() else { return 0.0 };
+        let Some((_, a, b)) = self.entry() else { return 0.0 };
         let far = (0..6).map(|i| (b.q[i] - a.q[i]).abs()).fold(0.0, f64::max);
         far / (b.time - a.time).max(1e-9)
+    }
+
+    /// Leaves the first points out as long as a joint would be faster than `limit` (rad/s) on the way to
+    /// them: what a late trajectory is ahead by is caught up with over a tenth of a second.
+    pub fn join(&mut self, limit: f64) {
+        const LOOKS: usize = 8;
+        while let Some((i, a, b)) = self.entry() {
+            let fast = (0..=LOOKS).any(|k| {
+                let t = a.time + (b.time - a.time) * k as f64 / LOOKS as f64;
+                spline::sample(a, b, t).1.iter().any(|v| v.abs() > limit)
+            });
+            if !fast || self.knots.get(i + 1).is_none_or(|next| next.time > JOIN) {
+                return;
+            }
+            self.knots.remove(i);
+        }
     }
 
     /// Comes to rest from state `from`: all joints together with constant deceleration, the fastest one
@@ -199,7 +231,7 @@ impl JointTrajectoryExecutor {
         if t >= last.time {
             return Some(Desired { q: last.q, qd: [0.0; 6] });
         }
-        if t <= 0.0 {
+        if t <= first.time {
             return Some(Desired { q: first.q, qd: first.qd.unwrap_or([0.0; 6]) });
         }
         let i = self.knots.partition_point(|k| k.time <= t).clamp(1, self.knots.len() - 1);

@@ -405,7 +405,9 @@ impl Motion {
         let at = self.time.plus(late * self.scale.factor());
         let mut executor = self.executor.clone();
         executor.accept_at(t, now, at, &current)?;
-        let (speed, limit) = (executor.entry_speed(), ENTRY * self.params.limits.joint_velocity);
+        let limit = ENTRY * self.params.limits.joint_velocity;
+        executor.join(limit);
+        let speed = executor.entry_speed();
         if speed > limit {
             return Err(MotionRefusal::Entry { speed, limit });
         }

@@ -316,3 +316,46 @@ fn jitter_of_arrival_makes_no_step() {
         assert!(fastest < allowed, "stamped {stamped}: {fastest} rad/s instead of 0.5");
     }
 }
+
+/// A robot whose states stop for some cycles and go on as if nothing had been: the trajectories that came
+/// meanwhile are ahead, and are caught up with at a bounded speed.
+#[test]
+fn a_robot_that_falls_behind_is_no_jump() {
+    const SPEED: f64 = 0.8;
+    let mut b = Bench::new();
+    let (mut wall, mut fastest) = (0.0, 0.0_f64);
+    let mut last: Option<Joints> = None;
+    for n in 0..400_u32 {
+        if n % 40 == 39 {
+            let stall = 0.008 * f64::from(n / 40 % 4);
+            wall += stall;
+            b.input.clock = b.input.clock.plus(stall);
+        }
+        let point = |t: f64, v: f64| TrajectoryPoint {
+            // To and fro, so that the range is not left.
+            positions: Q.map(|q| q + SPEED * (4.0 * (wall + t)).sin() / 4.0).to_vec(),
+            velocities: vec![v * SPEED * (4.0 * (wall + t)).cos(); 6],
+            time_from_start: t,
+            ..Default::default()
+        };
+        let trajectory = JointTrajectory {
+            names: JOINT_NAMES.map(String::from).to_vec(),
+            stamp: Some(NOW.plus(DT + wall)),
+            points: (0..=15)
+                .map(|i| point(0.008 * f64::from(i), 1.0))
+                .chain([point(0.3, 0.0)])
+                .collect(),
+        };
+        // It comes in the last moment before the next state, which is late by the stall.
+        b.motion.follow(&trajectory, NOW.plus(DT + wall)).unwrap();
+        let target = b.run(1)[0];
+        wall += DT;
+        if let (Some(a), Some(c), true) = (last, target, n > 20) {
+            let step = (0..6).map(|i| (c[i] - a[i]).abs()).fold(0.0, f64::max);
+            fastest = fastest.max(step / DT);
+        }
+        last = target;
+    }
+    assert!(b.fault.is_none(), "{:?}", b.fault);
+    assert!(fastest < 1.3, "{fastest} rad/s");
+}
