@@ -18,9 +18,11 @@ import rclpy
 from builtin_interfaces.msg import Duration
 from control_msgs.action import FollowJointTrajectory, GripperCommand
 from control_msgs.msg import JointTolerance, JointTrajectoryControllerState
+from control_msgs.srv import QueryTrajectoryState
 from controller_manager_msgs.srv import ListControllers, SwitchController
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.action import ActionClient
+from rclpy.duration import Duration as RclpyDuration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
@@ -62,6 +64,7 @@ SERVICES = {
     f"{IO}/set_io": SetIO, f"{IO}/set_analog_output": SetAnalogOutput, f"{IO}/set_payload": SetPayload,
     f"{IO}/set_speed_slider": SetSpeedSliderFraction, f"{IO}/resend_robot_program": Trigger,
     f"{IO}/hand_back_control": Trigger, f"{IO}/zero_ftsensor": Trigger,
+    f"{JTC}/query_state": QueryTrajectoryState,
     "/controller_manager/list_controllers": ListControllers,
     "/controller_manager/switch_controller": SwitchController,
     "/robotiq_activation_controller/reactivate_gripper": Trigger,
@@ -187,8 +190,14 @@ def check_motion(node, robot):
     # INVALID_GOAL is what the official controller gives to a goal that it drops for a newer one.
     check("a newer goal takes over", done and done.status == 6 and done.result.error_code == -1, done)
     check("and succeeds", (robot.end(second) or done).status == 4)
+    begin = robot.q()
     handle = robot.send(robot.trajectory(0.2, 4.0))
     spin(node, 1.0)
+    # Asked for a time after the trajectory's end: the end.
+    later = (node.get_clock().now() + RclpyDuration(seconds=10)).to_msg()
+    answer = call(node, QueryTrajectoryState, f"{JTC}/query_state", QueryTrajectoryState.Request(time=later))
+    check("query_state knows the end", answer and answer.success and list(answer.name) == JOINTS
+          and max(abs(a - b - 0.2) for a, b in zip(answer.position, begin)) < 1e-3, answer)
     cancel = handle.cancel_goal_async()
     spin(node, 5, cancel.done)
     done = robot.end(handle)

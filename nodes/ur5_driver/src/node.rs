@@ -39,6 +39,7 @@ pub async fn drive(node: Node, params: Params<DriverParameters>) -> anyhow::Resu
     let dashboard = Dashboard::new(p.address(p.dashboard_port));
     trajectory::subscribe(&node, &shared, &p.controller_name)?;
     trajectory::serve(&node, &shared, &p.controller_name)?;
+    trajectory::answer(&node, &shared, &p.controller_name)?;
     controllers::serve(
         &node,
         &shared,

@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use tdv_geometry::Stamp;
 use tdv_robot::executor::Follow;
 use tdv_robot::{
-    GoalEndReport, GoalTolerances, JointTrajectory, Joints, Motion, MotionController, MotionParams,
-    MotionRefusal, RobotInput,
+    Desired, GoalEndReport, GoalTolerances, JointTrajectory, Joints, Motion, MotionController,
+    MotionParams, MotionRefusal, RobotInput,
 };
 use tdv_ur_protocol::servo::ProgramState;
 use tokio::sync::oneshot;
@@ -103,6 +103,10 @@ impl Shared {
     /// Desired and measured joints.
     pub fn follow_state(&self) -> Option<Follow> {
         self.lock().motion.state()
+    }
+
+    pub fn planned(&self, at: Stamp) -> Option<Desired> {
+        self.lock().motion.planned(at)
     }
 
     pub fn fault(&self) -> Option<String> {

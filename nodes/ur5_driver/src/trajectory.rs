@@ -9,6 +9,7 @@ use tdv_msgs::control_msgs::action::{
     FollowJointTrajectoryResult,
 };
 use tdv_msgs::control_msgs::msg::JointTolerance as ToleranceMessage;
+use tdv_msgs::control_msgs::srv::{QueryTrajectoryState, QueryTrajectoryStateResponse};
 use tdv_msgs::trajectory_msgs::msg::{JointTrajectory as TrajectoryMessage, JointTrajectoryPoint};
 use tdv_robot::executor::{Follow, JointTolerance};
 use tdv_robot::{
@@ -39,6 +40,28 @@ pub fn subscribe(node: &Node, shared: &Arc<Shared>, controller: &str) -> Result<
             diagnostics.set("last_refusal", &why);
         }
         last = why;
+    })
+}
+
+/// Serves `query_state`: where the trajectory has the arm at a time.
+pub fn answer(node: &Node, shared: &Arc<Shared>, controller: &str) -> Result<(), RuntimeError> {
+    let shared = shared.clone();
+    node.service::<QueryTrajectoryState, _, _>(&format!("/{controller}/query_state"), move |r| {
+        let at = Stamp::from_ros(r.time.sec, r.time.nanosec);
+        let answer = match shared.planned(at) {
+            Some(state) => QueryTrajectoryStateResponse {
+                success: true,
+                name: JOINT_NAMES.map(String::from).to_vec(),
+                position: state.q.to_vec(),
+                velocity: state.qd.to_vec(),
+                ..Default::default()
+            },
+            None => QueryTrajectoryStateResponse {
+                message: "no trajectory is active at that time".into(),
+                ..Default::default()
+            },
+        };
+        async { answer }
     })
 }
 

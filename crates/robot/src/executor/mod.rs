@@ -93,9 +93,9 @@ pub struct JointTrajectoryExecutor {
 const MERGE: f64 = 0.02;
 /// What has to be caught up with may take until this time (s).
 const JOIN: f64 = 0.1;
-/// Times (s) before a replacement at which the replaced trajectory is kept: it may be asked for what was
+/// Points of the replaced trajectory that are kept, over the longest step: it may be asked for what was
 /// due before, when the states of the robot are late.
-const KEPT: [f64; 5] = [-0.04, -0.032, -0.024, -0.016, -0.008];
+const KEPT: u32 = 5;
 
 impl JointTrajectoryExecutor {
     /// Without a trajectory; [`Self::sample`] gives nothing until the first one or a [`Self::hold`].
@@ -158,9 +158,10 @@ impl JointTrajectoryExecutor {
                 knots[0] = Knot { time: 0.0, q, qd: None, qdd: None };
             }
         }
-        let before = KEPT.iter().filter_map(|time| {
-            let Desired { q, qd } = self.sample(at.plus(*time))?;
-            Some(Knot { time: *time, q, qd: Some(qd), qdd: None })
+        let before = (1..=KEPT).rev().filter_map(|i| {
+            let time = -SpeedScale::LONGEST_STEP * f64::from(i) / f64::from(KEPT);
+            let Desired { q, qd } = self.sample(at.plus(time))?;
+            Some(Knot { time, q, qd: Some(qd), qdd: None })
         });
         self.knots = before.chain(knots).collect();
         self.start = at;
@@ -237,6 +238,12 @@ impl JointTrajectoryExecutor {
         let i = self.knots.partition_point(|k| k.time <= t).clamp(1, self.knots.len() - 1);
         let (q, qd) = spline::sample(&self.knots[i - 1], &self.knots[i], t);
         Some(Desired { q, qd })
+    }
+
+    /// As [`Self::sample`]; none before what is still known of the trajectory that was replaced.
+    pub fn known(&self, at: Stamp) -> Option<Desired> {
+        let first = self.knots.first()?;
+        (at.since(self.start) >= first.time).then(|| self.sample(at))?
     }
 
     /// True until the last point's time.

@@ -290,6 +290,15 @@ impl Motion {
         })
     }
 
+    /// Where the trajectory controller wants the arm at a time of the graph's clock, if no other
+    /// trajectory replaces the one that runs; its end at rest from there on. None while that controller
+    /// is not active, without a robot that may move, and for times long gone.
+    pub fn planned(&self, at: Stamp) -> Option<Desired> {
+        let robot = self.ready(MotionController::Trajectory).ok()?;
+        let ahead = at.since(robot.clock) + self.clocks.late(robot);
+        self.executor.known(self.time.plus(ahead * self.scale.factor()))
+    }
+
     /// One cycle.
     pub fn step(&mut self, robot: &RobotInput) -> StepOutput {
         let dt = self.robot.map_or(0.0, |before| robot.time - before.time);

@@ -359,3 +359,22 @@ fn a_robot_that_falls_behind_is_no_jump() {
     assert!(b.fault.is_none(), "{:?}", b.fault);
     assert!(fastest < 1.3, "{fastest} rad/s");
 }
+
+#[test]
+fn what_is_planned_is_what_comes() {
+    let mut b = Bench::new();
+    assert_eq!(b.motion.planned(NOW), None, "nothing was commanded");
+    b.motion.follow(&to(0.3, 1.0), NOW).unwrap();
+    b.run(20);
+    let clock = b.input.clock;
+    let planned = b.motion.planned(clock.plus(0.4)).unwrap();
+    let end = b.motion.planned(clock.plus(5.0)).unwrap();
+    assert_eq!(b.motion.planned(clock.plus(-30.0)), None, "long gone");
+    let came = b.run(50).last().copied().flatten().unwrap();
+    assert!((planned.q[0] - came[0]).abs() < 1e-3, "{planned:?} {came:?}");
+    assert!(planned.qd[0] > 0.1);
+    assert!((end.q[0] - Q[0] - 0.3).abs() < 1e-9 && end.qd == [0.0; 6]);
+    b.input.may_move = false;
+    b.run(1);
+    assert_eq!(b.motion.planned(clock), None, "the robot was stopped");
+}
