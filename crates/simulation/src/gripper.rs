@@ -122,9 +122,10 @@ impl Default for GripperStatus {
     }
 }
 
-/// Slower than this (m/s of the gap) counts as standing still.
-const STILL: f64 = 0.003;
-/// For this long (s).
+/// The fingers stand still when the gap has changed by less than this (m), about a count of the position
+/// feedback, for [`STILL_FOR`]. A grip on something stiff trembles, which is no motion.
+const STILL: f64 = 0.0003;
+/// s.
 const STILL_FOR: f64 = 0.06;
 /// Nearer than this to the request (m) counts as there: about two counts.
 const THERE: f64 = 0.0008;
@@ -141,6 +142,8 @@ pub struct Gripper {
     drive: FingerDrive,
     since_request: f64,
     still: f64,
+    /// Gap (m) since when they stand still.
+    stood: f64,
     closing: bool,
     holding: Option<f64>,
 }
@@ -177,10 +180,14 @@ impl Gripper {
         self.status
     }
 
-    /// One tick of `dt` seconds with the measured gap (m) and its rate (m/s); returns the drive.
-    pub fn step(&mut self, dt: f64, gap: f64, gap_rate: f64) -> FingerDrive {
+    /// One tick of `dt` seconds with the measured gap (m); returns the drive.
+    pub fn step(&mut self, dt: f64, gap: f64) -> FingerDrive {
         self.since_request += dt;
-        self.still = if gap_rate.abs() < STILL { self.still + dt } else { 0.0 };
+        if (gap - self.stood).abs() < STILL {
+            self.still += dt;
+        } else {
+            (self.still, self.stood) = (0.0, gap);
+        }
         self.status.position = count_of_gap(gap);
         let stopped = self.since_request > START_GRACE && self.still > STILL_FOR;
         if !self.request.activate {
@@ -255,13 +262,10 @@ mod tests {
 
     /// Ideal fingers that stop at `block` when closing.
     fn run(g: &mut Gripper, gap: &mut f64, block: f64, seconds: f64) {
-        let mut rate = 0.0;
         for _ in 0..(seconds / DT) as usize {
-            let d = g.step(DT, *gap, rate);
+            let d = g.step(DT, *gap);
             let step = (d.gap - *gap).clamp(-d.speed * DT, d.speed * DT);
-            let next = (*gap + step).max(block);
-            rate = (next - *gap) / DT;
-            *gap = next;
+            *gap = (*gap + step).max(block);
         }
     }
 
@@ -286,6 +290,23 @@ mod tests {
         assert!(
             (force_of_count(0) - 20.0).abs() < 1e-9 && (force_of_count(255) - 235.0).abs() < 1e-9
         );
+    }
+
+    #[test]
+    fn a_trembling_grip_is_a_contact_and_slow_fingers_are_not() {
+        let (mut g, mut gap) = (Gripper::new(), STROKE);
+        g.set_request(GripperRequest { activate: true, ..Default::default() });
+        run(&mut g, &mut gap, 0.0, 1.0);
+        g.set_request(GripperRequest { speed: 0, ..go(255) });
+        run(&mut g, &mut gap, 0.030, 1.0);
+        assert_eq!(g.status().object, ObjectStatus::Moving, "at the lowest speed");
+        run(&mut g, &mut gap, 0.030, 2.0);
+        // 0.1 mm to and fro at 25 Hz: faster than fingers that close slowly.
+        for i in 0..250 {
+            let wave = (std::f64::consts::TAU * 25.0 * DT * f64::from(i)).sin();
+            g.step(DT, 0.030 + 1e-4 * wave);
+        }
+        assert_eq!(g.status().object, ObjectStatus::ContactClosing);
     }
 
     #[test]

@@ -277,33 +277,26 @@ impl World {
         }
     }
 
-    fn finger_offset(&self, finger: &Finger) -> (f64, f64) {
+    fn finger_offset(&self, finger: &Finger) -> f64 {
         let (Some(palm), Some(body)) =
             (self.physics.bodies.get(self.frames[6]), self.physics.bodies.get(finger.body))
         else {
-            return (0.0, 0.0);
+            return 0.0;
         };
         let tool = units::pose64(palm.position());
         let axis = tool.rotation * Vector3::y() * finger.side;
         let at = units::vector64(body.translation()) - tool.translation.vector;
-        let rate = units::vector64(body.linvel())
-            - units::vector64(palm.velocity_at_point(body.translation()));
-        (axis.dot(&at), axis.dot(&rate))
+        axis.dot(&at)
     }
 
     /// Gap between the pads, m.
     pub fn gap(&self) -> f64 {
-        self.fingers.iter().map(|f| self.finger_offset(f).0).sum()
-    }
-
-    /// Rate of the gap, m/s.
-    pub fn gap_rate(&self) -> f64 {
-        self.fingers.iter().map(|f| self.finger_offset(f).1).sum()
+        self.fingers.iter().map(|f| self.finger_offset(f)).sum()
     }
 
     /// Offsets of the two pads from the middle plane (m, positive outwards), +y side first.
     pub fn pad_offsets(&self) -> [f64; 2] {
-        [self.finger_offset(&self.fingers[0]).0, self.finger_offset(&self.fingers[1]).0]
+        [self.finger_offset(&self.fingers[0]), self.finger_offset(&self.fingers[1])]
     }
 
     /// Poses of the link frames (see [`ArmModel::link_frames`]).

@@ -370,7 +370,7 @@ fn tissue() -> Made {
             symmetry: turns(2),
             palette: vec![WHITE],
             collision: parts.clone(),
-            ..file("tissue", &["paper tissue", "napkin", "tab"], &["white"], 0.02, 0.8)
+            ..file("tissue", &["paper tissue", "napkin", "tab"], &["white"], 0.1, 0.8)
         },
         mesh: look(&parts, WHITE),
     }

@@ -221,7 +221,7 @@ impl Lab {
     /// One tick of [`DT`] = 2 ms.
     pub fn step(&mut self) {
         self.controller.step(DT);
-        let drive = self.gripper.step(DT, self.world.gap(), self.world.gap_rate());
+        let drive = self.gripper.step(DT, self.world.gap());
         self.world.set_drive(drive);
         self.slide();
         self.dry();
