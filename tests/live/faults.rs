@@ -2,6 +2,7 @@
 
 use std::path::Path;
 use std::time::Duration;
+use tdv_runtime::trial::NODES;
 use tdv_tests::{holds, json, machine, model, run};
 
 /// The design's limit (ms) from the kill to rest.
@@ -16,15 +17,6 @@ fn the_arm_rests_says_why_and_goes_on_whichever_node_dies() {
 fn nothing_is_dropped_whichever_node_dies_in_mid_carry() {
     kill_each(&["--kill-carrying"]);
 }
-
-const NODES: [&str; 6] = [
-    "perception_bridge",
-    "pose_tracker",
-    "switch_policy",
-    "diffusion_policy",
-    "arm_controller",
-    "ur5_driver",
-];
 
 fn kill_each(more: &[&str]) {
     let Some(model) = model() else { return };

@@ -7,34 +7,55 @@ use std::time::{Duration, Instant};
 const TICK_MS: f64 = 10.0;
 const WINDOW: Duration = Duration::from_secs(1);
 
+/// Time between two looks at the kernel's count.
+const LOOK: Duration = Duration::from_millis(100);
+
 /// The CPU time that the host of a virtual machine gave to others while this one wanted it: the `steal`
 /// of `/proc/stat` (proc(5)), of all cores together. Nothing that runs on the machine itself can raise
 /// it, so it tells a slow program from a machine that stood still.
 #[derive(Debug, Clone)]
 pub struct StolenTime {
-    since: Instant,
-    ticks: u64,
-    worst: u64,
+    window: Window,
+    looked: Instant,
 }
 
 impl StolenTime {
     /// Counts from now on.
     pub fn start() -> Self {
-        Self { since: Instant::now(), ticks: stolen_ticks(), worst: 0 }
+        let now = Instant::now();
+        Self { window: Window { since: now, ticks: stolen_ticks(), worst: 0 }, looked: now }
     }
 
-    /// To be called a few times a second.
+    /// To be called a few times a second, or as often as one likes.
     pub fn look(&mut self) {
-        let ticks = stolen_ticks();
-        self.worst = self.worst.max(ticks.saturating_sub(self.ticks));
-        if self.since.elapsed() >= WINDOW {
-            (self.since, self.ticks) = (Instant::now(), ticks);
+        let now = Instant::now();
+        if now.duration_since(self.looked) >= LOOK {
+            self.looked = now;
+            self.window.count(stolen_ticks(), now);
         }
     }
 
     /// The most that went within a second, milliseconds of CPU time; 0 on a machine of its own.
     pub fn worst_ms(&self) -> f64 {
-        TICK_MS * self.worst as f64
+        TICK_MS * self.window.worst as f64
+    }
+}
+
+/// The most ticks within one of the seconds that follow each other.
+#[derive(Debug, Clone)]
+struct Window {
+    since: Instant,
+    /// The count when the window began.
+    ticks: u64,
+    worst: u64,
+}
+
+impl Window {
+    fn count(&mut self, ticks: u64, now: Instant) {
+        self.worst = self.worst.max(ticks.saturating_sub(self.ticks));
+        if now.duration_since(self.since) >= WINDOW {
+            (self.since, self.ticks) = (now, ticks);
+        }
     }
 }
 
@@ -61,14 +82,13 @@ mod tests {
     }
 
     #[test]
-    fn the_worst_window_counts() {
-        let mut stolen = StolenTime { since: Instant::now(), ticks: stolen_ticks(), worst: 0 };
-        stolen.ticks -= 7.min(stolen.ticks);
-        let wanted = 10.0 * 7.0_f64.min(stolen_ticks() as f64);
-        stolen.look();
-        let worst = stolen.worst_ms();
-        assert!(worst >= wanted);
-        stolen.look();
-        assert!(stolen.worst_ms() >= worst);
+    fn the_worst_second_counts() {
+        let start = Instant::now();
+        let mut window = Window { since: start, ticks: 100, worst: 0 };
+        // 3 ticks in the first second, 12 in the second one, 5 in the third.
+        for (ms, ticks) in [(500, 102), (1000, 103), (1600, 110), (2000, 115), (2500, 120)] {
+            window.count(ticks, start + Duration::from_millis(ms));
+        }
+        assert_eq!(window.worst, 12);
     }
 }

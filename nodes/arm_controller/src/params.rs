@@ -95,12 +95,7 @@ impl ArmParameters {
             path => Workcell::load(Path::new(path))?,
         };
         let limits = &self.control.limits;
-        let margins = Margins {
-            table: limits.link_clearance,
-            fingertip: limits.fingertip_clearance,
-            ..Margins::default()
-        };
-        Ok(Some(CollisionWorld::new(&model, &cell, margins, limits.table_z)?))
+        Ok(Some(CollisionWorld::new(&model, &cell, Margins::of(limits), limits.table_z)?))
     }
 
     /// The controller that moves the arm.

@@ -42,12 +42,7 @@ impl Surroundings {
         let model = RobotModel::load(&root.join(ROBOT)).map_err(|e| robot(&e))?;
         // As the node arm_controller has them.
         let limits = Limits::default();
-        let margins = Margins {
-            table: limits.link_clearance,
-            fingertip: limits.fingertip_clearance,
-            ..Margins::default()
-        };
-        let world = CollisionWorld::new(&model, &cell, margins, limits.table_z);
+        let world = CollisionWorld::new(&model, &cell, Margins::of(&limits), limits.table_z);
         let carried = match task.moving_shape() {
             Some(_) => {
                 let mesh = &assets.meshes[assets.scene.index_of(&task.moving_object)?];

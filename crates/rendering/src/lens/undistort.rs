@@ -48,22 +48,12 @@ impl Undistorter {
         if image.dimensions() != (self.intrinsics.width, self.intrinsics.height) {
             return image.clone();
         }
-        let (w, h) = (self.intrinsics.width as usize, self.intrinsics.height as usize);
         let raw = image.as_raw();
         let mut out = RgbImage::new(self.intrinsics.width, self.intrinsics.height);
-        for (pixel, [x, y]) in out.as_mut().chunks_exact_mut(3).zip(&self.map) {
-            if x.is_nan() {
-                continue;
-            }
-            let (x, y) = (x.clamp(0.0, (w - 1) as f32), y.clamp(0.0, (h - 1) as f32));
-            let (x0, y0) = (x as usize, y as usize);
-            let (x1, y1) = ((x0 + 1).min(w - 1), (y0 + 1).min(h - 1));
-            let (fx, fy) = (x - x0 as f32, y - y0 as f32);
-            let at = |x: usize, y: usize, k: usize| f32::from(raw[3 * (y * w + x) + k]);
+        for (pixel, source) in out.as_mut().chunks_exact_mut(3).zip(&self.map) {
+            let Some(Nearest { four, fx, fy }) = self.nearest(*source) else { continue };
             for (k, p) in pixel.iter_mut().enumerate() {
-                let top = at(x0, y0, k) + fx * (at(x1, y0, k) - at(x0, y0, k));
-                let bottom = at(x0, y1, k) + fx * (at(x1, y1, k) - at(x0, y1, k));
-                *p = (top + fy * (bottom - top) + 0.5) as u8;
+                *p = (between(four.map(|i| f32::from(raw[3 * i + k])), fx, fy) + 0.5) as u8;
             }
         }
         out
@@ -77,34 +67,43 @@ impl Undistorter {
         {
             return image.clone();
         }
-        let (w, h) = (self.intrinsics.width as usize, self.intrinsics.height as usize);
         let mut out = DepthImage::new(self.intrinsics.width, self.intrinsics.height);
-        for (z, [x, y]) in out.data.iter_mut().zip(&self.map) {
-            if x.is_nan() {
-                continue;
-            }
-            let (x, y) = (x.clamp(0.0, (w - 1) as f32), y.clamp(0.0, (h - 1) as f32));
-            let (x0, y0) = (x as usize, y as usize);
-            let (x1, y1) = ((x0 + 1).min(w - 1), (y0 + 1).min(h - 1));
-            let (fx, fy) = (x - x0 as f32, y - y0 as f32);
-            let four = [
-                image.data[y0 * w + x0],
-                image.data[y0 * w + x1],
-                image.data[y1 * w + x0],
-                image.data[y1 * w + x1],
-            ];
+        for (z, source) in out.data.iter_mut().zip(&self.map) {
+            let Some(Nearest { four, fx, fy }) = self.nearest(*source) else { continue };
+            let four = four.map(|i| image.data[i]);
             let near = four[usize::from(fx > 0.5) + 2 * usize::from(fy > 0.5)];
             let one_surface = near > 0.0 && four.iter().all(|d| (d - near).abs() < 0.01 * near);
-            *z = if one_surface {
-                let top = four[0] + fx * (four[1] - four[0]);
-                let bottom = four[2] + fx * (four[3] - four[2]);
-                top + fy * (bottom - top)
-            } else {
-                near
-            };
+            *z = if one_surface { between(four, fx, fy) } else { near };
         }
         out
     }
+
+    /// The pixels about a place of the image; none about NaN.
+    fn nearest(&self, [x, y]: [f32; 2]) -> Option<Nearest> {
+        if x.is_nan() {
+            return None;
+        }
+        let (w, h) = (self.intrinsics.width as usize, self.intrinsics.height as usize);
+        let (x, y) = (x.clamp(0.0, (w - 1) as f32), y.clamp(0.0, (h - 1) as f32));
+        let (x0, y0) = (x as usize, y as usize);
+        let (x1, y1) = ((x0 + 1).min(w - 1), (y0 + 1).min(h - 1));
+        let four = [y0 * w + x0, y0 * w + x1, y1 * w + x0, y1 * w + x1];
+        Some(Nearest { four, fx: x - x0 as f32, fy: y - y0 as f32 })
+    }
+}
+
+/// The four pixels about a place, row by row, and the parts of a pixel from the first one to it.
+struct Nearest {
+    four: [usize; 4],
+    fx: f32,
+    fy: f32,
+}
+
+/// The value between four, row by row.
+fn between(four: [f32; 4], fx: f32, fy: f32) -> f32 {
+    let top = four[0] + fx * (four[1] - four[0]);
+    let bottom = four[2] + fx * (four[3] - four[2]);
+    top + fy * (bottom - top)
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@ use super::model::BodyModel;
 use super::shapes::{ConvexPart, Placed, distance};
 use super::workcell::{Workcell, WorkcellError};
 use crate::kinematics::Joints;
+use crate::limits::Limits;
 use crate::urdf::RobotModel;
 use glamx::DPose3;
 use tdv_geometry::Pose;
@@ -24,6 +25,17 @@ pub struct Margins {
     pub held: f64,
     /// A held object above the table; below zero, so that it may stand on it.
     pub held_table: f64,
+}
+
+impl Margins {
+    /// With the heights above the table that the limits ask for.
+    pub fn of(limits: &Limits) -> Self {
+        Self {
+            table: limits.link_clearance,
+            fingertip: limits.fingertip_clearance,
+            ..Self::default()
+        }
+    }
 }
 
 impl Default for Margins {

@@ -35,6 +35,16 @@ use tdv_msgs::tdv_msgs::msg::{
 use tdv_msgs::trajectory_msgs::msg::JointTrajectory;
 use tdv_rendering::RgbImage;
 
+/// The nodes that may die in a trial; without the lab there is no robot.
+pub const NODES: [&str; 6] = [
+    "perception_bridge",
+    "pose_tracker",
+    "switch_policy",
+    "diffusion_policy",
+    "arm_controller",
+    "ur5_driver",
+];
+
 /// How a trial is run.
 #[derive(Debug, Clone)]
 pub struct TrialSetup {
