@@ -24,6 +24,14 @@ impl ArmModel {
         }
     }
 
+    /// As the robot's description and the parameter `robot` have it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ur5 => "ur5",
+            Self::Ur5e => "ur5e",
+        }
+    }
+
     /// Poses of the seven link frames in `base_link` for the joint angles `q` (rad): the base, then the
     /// Denavit-Hartenberg frame after each joint; the last one is `tool0`.
     pub fn link_frames(self, q: &[f64; 6]) -> [Pose; 7] {

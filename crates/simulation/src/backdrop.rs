@@ -20,6 +20,23 @@ pub const FIRST_FREE_ID: u16 = 32;
 /// Most distractors that there can be.
 pub const MAX_DISTRACTORS: usize = 16;
 
+/// What the table top looks like.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TableTop {
+    /// Grey, white or pale wood, drawn from the seed.
+    #[default]
+    Plain,
+    /// Brown wood with a strong grain.
+    Wood,
+    /// Nearly black.
+    Dark,
+    /// A cloth with a woven check.
+    Checked,
+    /// A cloth with printed blots.
+    Printed,
+}
+
 /// How to dress the scene. Positions in base_link, metres.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -28,6 +45,8 @@ pub struct BackdropConfig {
     pub table_x: [f64; 2],
     /// Extent of the table top along y.
     pub table_y: [f64; 2],
+    /// What its top looks like.
+    pub table_top: TableTop,
     /// Height of the floor.
     pub floor_z: f64,
     /// How many distractors (at most [`MAX_DISTRACTORS`]).
@@ -45,6 +64,7 @@ impl Default for BackdropConfig {
         Self {
             table_x: [-0.45, 1.15],
             table_y: [-0.80, 0.80],
+            table_top: TableTop::default(),
             floor_z: -0.75,
             distractors: 0,
             clear_x: [-0.30, 0.82],
@@ -138,7 +158,14 @@ fn table(config: &BackdropConfig, rng: &mut ChaCha8Rng) -> Fixture {
     let shift = rng.random_range(-14.0..14.0_f32);
     let grain = rng.random_range(2.0..9.0_f32);
     let stretch = [rng.random_range(3..9_usize), rng.random_range(20..60_usize)];
-    let texture = surface(512, base.map(|v| v + shift), grain, stretch, rng);
+    let plain = surface(512, base.map(|v| v + shift), grain, stretch, rng);
+    let texture = match config.table_top {
+        TableTop::Plain => plain,
+        TableTop::Wood => surface(512, [142.0, 98.0, 60.0], 24.0, stretch, rng),
+        TableTop::Dark => surface(512, [44.0, 46.0, 50.0], grain, stretch, rng),
+        TableTop::Checked => cloth(false, rng),
+        TableTop::Printed => cloth(true, rng),
+    };
     let (x, y) = (config.table_x, config.table_y);
     let thickness = 0.03;
     let half = [(x[1] - x[0]) / 2.0, (y[1] - y[0]) / 2.0, thickness / 2.0];
@@ -187,6 +214,29 @@ fn surface(
     for (pixel, v) in out.pixels_mut().zip(&value) {
         let speck = rng.random_range(-0.25..0.25_f32);
         pixel.0 = base.map(|b| (b + grain * (v + speck)).clamp(0.0, 255.0) as u8);
+    }
+    out
+}
+
+/// A table cloth: a woven check, or blots printed on plain cloth.
+fn cloth(printed: bool, rng: &mut ChaCha8Rng) -> RgbImage {
+    let inks: [[u8; 3]; 3] = if printed {
+        [[186, 176, 150], [120, 84, 60], [92, 110, 128]]
+    } else {
+        [[206, 202, 196], [110, 116, 126], [160, 160, 164]]
+    };
+    let mut out = RgbImage::new(512, 512);
+    for (x, y, p) in out.enumerate_pixels_mut() {
+        let (i, j) = (x / 16, y / 16);
+        let ink = if printed {
+            // Blots of a hash of the cell.
+            let h = (i / 2).wrapping_mul(73_856_093) ^ (j / 2).wrapping_mul(19_349_663);
+            usize::from(h % 7 == 0) + 2 * usize::from(h % 11 == 3)
+        } else {
+            ((i + j) % 2 + u32::from(i % 4 == 0)) as usize
+        };
+        let grain = rng.random_range(-6.0..6.0_f32);
+        p.0 = inks[ink.min(2)].map(|c| (f32::from(c) + grain).clamp(0.0, 255.0) as u8);
     }
     out
 }

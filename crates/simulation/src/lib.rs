@@ -9,6 +9,7 @@ pub mod backdrop;
 pub mod contacts;
 pub mod controller;
 pub mod disturbance;
+mod domain;
 mod draw;
 mod error;
 pub mod gripper;
@@ -25,6 +26,7 @@ pub mod ur_server;
 pub mod visual;
 pub mod world;
 
+pub use domain::Domain;
 pub use error::SimulationError;
 pub use lab::{Lab, LabAssets, LabInstance};
 pub use pacing::Pacer;

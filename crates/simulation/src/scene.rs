@@ -1,7 +1,7 @@
 //! Scene files (`config/scenes/NAME.yaml`): what stands where, and what is left to chance.
 
 use crate::arm::ArmModel;
-use crate::backdrop::MAX_DISTRACTORS;
+use crate::backdrop::{MAX_DISTRACTORS, TableTop};
 use crate::controller::Generation;
 use crate::error::SimulationError;
 use crate::sensor::{ColorNoise, DepthNoise, SensorConfig};
@@ -357,6 +357,9 @@ pub struct Scene {
     /// are beyond the arm's reach and not in the physics.
     #[serde(default)]
     pub distractors: usize,
+    /// What the table looks like.
+    #[serde(default)]
+    pub table_top: TableTop,
     /// What the robot does not know exactly.
     #[serde(default)]
     pub errors: KnowledgeErrors,
@@ -392,6 +395,20 @@ impl Scene {
         scene.path = path.into();
         scene.check()?;
         Ok(scene)
+    }
+
+    /// Writes it as a file; its object folders stay where they are.
+    ///
+    /// # Errors
+    /// [`SimulationError::Io`], [`SimulationError::Parse`].
+    pub fn save(&self, path: &Path) -> Result<(), SimulationError> {
+        let io = |source| SimulationError::Io { path: path.into(), source };
+        let mut out = self.clone();
+        let base = self.path.parent().unwrap_or(Path::new("."));
+        out.objects_dir = base.join(&self.objects_dir).canonicalize().map_err(io)?;
+        let text = serde_saphyr::to_string(&out)
+            .map_err(|e| SimulationError::Parse { path: path.into(), reason: e.to_string() })?;
+        std::fs::write(path, text).map_err(io)
     }
 
     /// The file that it came from.

@@ -1,5 +1,7 @@
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
+use tdv_simulation::controller::Generation;
 
 /// Learn a manipulation task from one human RGB-D recording and carry it out in closed loop on a UR5.
 #[derive(Parser)]
@@ -186,6 +188,8 @@ pub struct RecordDemoArgs {
 pub enum EvalCommand {
     /// Trials of the whole live graph in the virtual lab, judged on its truth
     ClosedLoop(ClosedLoopArgs),
+    /// The same in scenes that look different: other tables, clutter, other places of the camera
+    Domains(DomainArgs),
     /// Seeded troubles for controller, driver and robot, in one process on simulated time or live
     Faults(FaultsArgs),
     /// Track an object of a recorded data set and compare with its reference poses
@@ -194,6 +198,37 @@ pub enum EvalCommand {
     Table2(Table2Args),
     /// The same for settings that change one thing each
     Ablations(AblationArgs),
+}
+
+#[derive(Args)]
+pub struct DomainArgs {
+    /// Task file
+    #[arg(long, default_value = "config/tasks/cup_on_coaster.yaml")]
+    pub task: PathBuf,
+    /// Model folder [default: models/TASK]
+    #[arg(long)]
+    pub model: Option<PathBuf>,
+    /// List of the domains
+    #[arg(long, default_value = "config/domains.yaml")]
+    pub domains: PathBuf,
+    /// Only these, by name
+    #[arg(long, value_delimiter = ',')]
+    pub only: Vec<String>,
+    /// Trials of each
+    #[arg(long, default_value_t = 5)]
+    pub trials: u64,
+    /// First seed
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Result file
+    #[arg(long)]
+    pub json: Option<PathBuf>,
+    /// Folder for scenes, logs and pictures
+    #[arg(long, default_value = "runs/domains")]
+    pub run: PathBuf,
+    /// Keep an animated picture of each trial
+    #[arg(long)]
+    pub pictures: bool,
 }
 
 #[derive(Args, Clone)]
@@ -237,6 +272,9 @@ pub struct Table2Args {
     /// Only every n-th trial, I/N with I from 1
     #[arg(long)]
     pub shard: Option<String>,
+    /// Instead of teaching: the policies of DIR/TASK, as `tdv teach` writes them
+    #[arg(long, value_name = "DIR")]
+    pub models: Option<PathBuf>,
     /// Training steps of every policy
     #[arg(long, default_value_t = 600)]
     pub steps: usize,
@@ -338,8 +376,11 @@ pub struct ClosedLoopArgs {
     #[arg(long, requires = "kill")]
     pub kill_carrying: bool,
     /// Controller of the lab: cb3 (125 Hz), e_series (500 Hz) [default: as the scene says]
-    #[arg(long, value_parser = ["cb3", "e_series"])]
-    pub controller: Option<String>,
+    #[arg(long, value_parser = generation())]
+    pub controller: Option<Generation>,
+    /// Argument of the launch file, such as backend:=remote; may be given several times
+    #[arg(long = "set", value_name = "NAME:=VALUE")]
+    pub settings: Vec<String>,
     /// Launch file
     #[arg(long, default_value = "launch_scripts/closed_loop.launch.yaml")]
     pub launch_file: PathBuf,
@@ -478,4 +519,38 @@ pub struct GraphArgs {
     /// Seconds to look
     #[arg(long, default_value_t = 3.0)]
     pub wait: f64,
+}
+
+fn generation() -> impl TypedValueParser<Value = Generation> {
+    PossibleValuesParser::new(Generation::ALL.map(Generation::name))
+        .try_map(|name| Generation::of(&name).ok_or("unknown controller"))
+}
+
+impl ClosedLoopArgs {
+    /// One plain live trial.
+    pub fn one(task: PathBuf, model: Option<PathBuf>, seed: u64, run: PathBuf) -> Self {
+        Self {
+            task,
+            trials: 1,
+            seed,
+            live: true,
+            json: None,
+            model,
+            disturb: false,
+            drop: false,
+            driver: None,
+            freeze_perception: false,
+            untrained: false,
+            open_loop: false,
+            grasp_offset: 0.0,
+            kill: None,
+            kill_carrying: false,
+            controller: None,
+            settings: Vec::new(),
+            launch_file: "launch_scripts/closed_loop.launch.yaml".into(),
+            run,
+            pictures: false,
+            bag: false,
+        }
+    }
 }

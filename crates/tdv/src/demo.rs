@@ -15,26 +15,10 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<bool> {
     }
     println!("2/2 carrying it out in the virtual lab, from a start that was not demonstrated");
     let setup = ClosedLoopArgs {
-        task: args.teach.task.clone(),
-        trials: 1,
-        seed: args.lab_seed,
-        live: true,
         json: Some(args.run.join("result.json")),
-        model: Some(model),
-        disturb: false,
-        drop: false,
-        driver: None,
-        freeze_perception: false,
-        untrained: false,
-        open_loop: false,
-        grasp_offset: 0.0,
-        kill: None,
-        kill_carrying: false,
-        controller: None,
-        launch_file: "launch_scripts/closed_loop.launch.yaml".into(),
-        run: args.run.clone(),
         pictures: true,
         bag: true,
+        ..ClosedLoopArgs::one(args.teach.task.clone(), Some(model), args.lab_seed, args.run.clone())
     };
     let good = eval::closed_loop(&setup)?;
     println!("verdict: {}", if good { "success" } else { "failure" });

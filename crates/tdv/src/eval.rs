@@ -6,27 +6,29 @@ use std::path::Path;
 use tdv_demonstration::{Demonstration, Task};
 use tdv_evaluation::{ClosedLoopReport, Fault, StreamFigures, StreamStatistics, Trial};
 use tdv_geometry::yaw_of;
-use tdv_robot::Kinematics;
 use tdv_runtime::record::Recording;
-use tdv_runtime::trial::{FaultSetup, TrialOutcome, TrialSetup, run_trial, shutdown_on_signals};
+use tdv_runtime::trial::{
+    FaultSetup, NODES, TrialOutcome, TrialSetup, run_trial, shutdown_on_signals,
+};
 use tdv_simulation::Scene;
+use tdv_simulation::arm::ArmModel;
 use tdv_simulation::controller::Generation;
 
 /// Seconds of the clock that a trial may take: the task's limit and the start of eight processes.
 const PATIENCE: f64 = 85.0;
 
-/// The nodes that may die; without the lab there is no robot.
-const NODES: [&str; 6] = [
-    "perception_bridge",
-    "pose_tracker",
-    "switch_policy",
-    "diffusion_policy",
-    "arm_controller",
-    "ur5_driver",
-];
-
 /// Trials of the live graph. True when all succeeded.
 pub fn closed_loop(args: &ClosedLoopArgs) -> anyhow::Result<bool> {
+    let report = trials(args)?;
+    print!("{}", report.table());
+    if let Some(path) = &args.json {
+        write_json(path, &report)?;
+    }
+    Ok(report.summary.successes == report.summary.trials)
+}
+
+/// The trials of [`closed_loop`].
+pub fn trials(args: &ClosedLoopArgs) -> anyhow::Result<ClosedLoopReport> {
     if !args.live {
         bail!("give --live: trials in process come with a later version");
     }
@@ -40,11 +42,11 @@ pub fn closed_loop(args: &ClosedLoopArgs) -> anyhow::Result<bool> {
     let scene = Scene::load(Path::new(&task.scene))?;
     std::fs::create_dir_all(&args.run).with_context(|| args.run.display().to_string())?;
     let shutdown = shutdown_on_signals()?;
-    let arm = if e_series(args, &scene) { Kinematics::ur5e() } else { Kinematics::ur5() };
+    let arm = arm(args, &scene).kinematics();
     let (mut stream, mut measured) = (StreamStatistics::default(), BTreeMap::new());
     let (mut trials, mut latency, mut cpu) = (Vec::new(), BTreeMap::new(), BTreeMap::new());
     for seed in args.seed..args.seed + args.trials {
-        let setup = setup(args, &task, &scene, &demonstration, &model, seed);
+        let setup = setup(args, &task, &scene, &demonstration, &model, seed)?;
         if let Some(old) = &setup.bag {
             tdv_bag::remove_bag(old)?;
         }
@@ -96,20 +98,12 @@ pub fn closed_loop(args: &ClosedLoopArgs) -> anyhow::Result<bool> {
     }
     let stream = StreamFigures { measured, ..stream.figures() };
     let condition = condition(args);
-    let report = ClosedLoopReport::new(&task.name, &condition, trials, &latency, cpu, stream);
-    print!("{}", report.table());
-    if let Some(path) = &args.json {
-        write_json(path, &report)?;
-    }
-    Ok(report.summary.successes == report.summary.trials)
+    Ok(ClosedLoopReport::new(&task.name, &condition, trials, &latency, cpu, stream))
 }
 
-/// Whether the lab has the newer controller, and so the newer arm.
-fn e_series(args: &ClosedLoopArgs, scene: &Scene) -> bool {
-    match args.controller.as_deref() {
-        Some(name) => name == "e_series",
-        None => scene.robot.controller == Generation::ESeries,
-    }
+/// The arm of the lab's controller.
+fn arm(args: &ClosedLoopArgs, scene: &Scene) -> ArmModel {
+    args.controller.unwrap_or(scene.robot.controller).arm()
 }
 
 /// Says what a bag does not have.
@@ -140,13 +134,14 @@ fn condition(args: &ClosedLoopArgs) -> String {
     if args.driver.is_some() {
         parts.push("another driver");
     }
-    if args.controller.as_deref() == Some("e_series") {
+    if args.controller == Some(Generation::ESeries) {
         parts.push("e-Series controller");
     }
     parts.extend(killed.as_deref());
     if args.kill_carrying {
         parts.push("while carrying");
     }
+    parts.extend(args.settings.iter().map(String::as_str));
     if parts.is_empty() { "plain".into() } else { parts.join(", ") }
 }
 
@@ -158,7 +153,8 @@ pub fn setup(
     demonstration: &Demonstration,
     model: &Path,
     seed: u64,
-) -> TrialSetup {
+) -> anyhow::Result<TrialSetup> {
+    let settings = launch::settings(&args.settings)?;
     let mut arguments = BTreeMap::new();
     let mut set = |name: &str, value: String| {
         arguments.insert(name.to_owned(), value);
@@ -181,10 +177,10 @@ pub fn setup(
         .map(|(o, scale)| format!("\"{}:{scale:.6}\"", o.name))
         .collect();
     set("mesh_scales", format!("[{}]", scales.join(", ")));
-    if let Some(controller) = &args.controller {
-        set("controller", controller.clone());
+    if let Some(controller) = args.controller {
+        set("controller", controller.name().into());
     }
-    set("robot", if e_series(args, scene) { "ur5e" } else { "ur5" }.into());
+    set("robot", arm(args, scene).name().into());
     set("disturb", args.disturb.to_string());
     set("drop", args.drop.to_string());
     set("driver", args.driver.is_none().to_string());
@@ -192,7 +188,8 @@ pub fn setup(
     set("untrained", args.untrained.to_string());
     set("open_loop", args.open_loop.to_string());
     set("grasp_offset", format!("[{:?}, 0.0, 0.0]", args.grasp_offset));
-    TrialSetup {
+    arguments.extend(settings);
+    Ok(TrialSetup {
         launch_file: args.launch_file.clone(),
         share: launch::share(&args.launch_file),
         arguments,
@@ -209,7 +206,7 @@ pub fn setup(
         }),
         driver: args.driver.clone(),
         bag: args.bag.then(|| args.run.join(format!("trial_{seed}"))),
-    }
+    })
 }
 
 /// What a live trial comes to.

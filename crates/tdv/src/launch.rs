@@ -14,6 +14,16 @@ pub fn share(file: &Path) -> PathBuf {
         .unwrap_or_else(|| PathBuf::from("."))
 }
 
+/// Arguments of a launch file, as `NAME:=VALUE`.
+pub fn settings(words: &[String]) -> anyhow::Result<BTreeMap<String, String>> {
+    let setting = |word: &String| {
+        let (name, value) =
+            word.split_once(":=").with_context(|| format!("{word:?} is not NAME:=VALUE"))?;
+        Ok((name.to_owned(), value.to_owned()))
+    };
+    words.iter().map(setting).collect()
+}
+
 /// Starts the nodes and waits for Ctrl-C or for all of them to end. False when a node failed.
 pub fn run(args: &LaunchArgs) -> anyhow::Result<bool> {
     let file = LaunchFile::load(&args.file)?;
@@ -24,13 +34,7 @@ pub fn run(args: &LaunchArgs) -> anyhow::Result<bool> {
         }
         return Ok(true);
     }
-    let mut settings = BTreeMap::new();
-    for a in &args.arguments {
-        let Some((name, value)) = a.split_once(":=") else {
-            bail!("{a:?} is not NAME:=VALUE");
-        };
-        settings.insert(name.to_owned(), value.to_owned());
-    }
+    let settings = settings(&args.arguments)?;
     let commands = file.commands(&settings, &share(&args.file))?;
     let named = |until: &str| commands.iter().any(|c| c.name == until);
     if let Some(until) = args.until.as_deref().filter(|until| !named(until)) {

@@ -34,7 +34,7 @@ pub fn campaign(args: &FaultsArgs, cases: u64) -> anyhow::Result<bool> {
     for index in 0..cases {
         let seed = args.seed + index;
         let fault = LiveFault::draw(index, seed);
-        let mut setup = eval::setup(&loop_args, &task, &scene, &demonstration, &model, seed);
+        let mut setup = eval::setup(&loop_args, &task, &scene, &demonstration, &model, seed)?;
         setup.fault = Some(FaultSetup {
             trouble: trouble(fault.kind)?,
             carrying: fault.carrying,
@@ -59,28 +59,7 @@ pub fn campaign(args: &FaultsArgs, cases: u64) -> anyhow::Result<bool> {
 
 /// The plain closed loop: the campaign changes nothing else.
 fn closed_loop(args: &FaultsArgs) -> ClosedLoopArgs {
-    ClosedLoopArgs {
-        task: args.task.clone(),
-        trials: 1,
-        seed: args.seed,
-        live: true,
-        json: None,
-        model: args.model.clone(),
-        disturb: false,
-        drop: false,
-        driver: None,
-        freeze_perception: false,
-        untrained: false,
-        open_loop: false,
-        grasp_offset: 0.0,
-        kill: None,
-        kill_carrying: false,
-        controller: None,
-        launch_file: "launch_scripts/closed_loop.launch.yaml".into(),
-        run: args.run.clone(),
-        pictures: false,
-        bag: false,
-    }
+    ClosedLoopArgs::one(args.task.clone(), args.model.clone(), args.seed, args.run.clone())
 }
 
 fn trouble(kind: FaultKind) -> anyhow::Result<Trouble> {

@@ -5,6 +5,7 @@ mod bag;
 mod calibrate;
 mod demo;
 mod doctor;
+mod domains;
 mod eval;
 mod faults;
 mod graph;
@@ -39,6 +40,7 @@ fn main() -> ExitCode {
         Command::Record(a) => record::run(&a).map(|()| true),
         Command::RecordDemo(a) => record_demo::run(&a).map(|()| true),
         Command::Eval(EvalCommand::ClosedLoop(a)) => eval::closed_loop(&a),
+        Command::Eval(EvalCommand::Domains(a)) => domains::run(&a),
         Command::Eval(EvalCommand::Faults(a)) => faults::campaign(&a),
         Command::Eval(EvalCommand::Tracking(a)) => tracking::run(&a),
         Command::Eval(EvalCommand::Table2(a)) => table2::table(&a),

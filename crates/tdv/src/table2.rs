@@ -168,7 +168,10 @@ fn lesson(
     if let Some(lesson) = known.get(&key) {
         return Ok(lesson.clone());
     }
-    let lesson = if taught {
+    let lesson = if let Some(models) = args.models.as_ref().filter(|_| taught) {
+        let folder = models.join(&stage.task.name);
+        Lesson::taught(&folder, &stage.task).with_context(|| folder.display().to_string())?
+    } else if taught {
         let course = Course {
             demos: cell.demos,
             seed: cell.seed,

@@ -41,8 +41,12 @@ impl Camera {
         seed: u64,
     ) -> anyhow::Result<Self> {
         let qos = Qos::reliable(2);
-        let distractors = assets.scene.distractors;
-        let config = BackdropConfig { distractors, ..BackdropConfig::default() };
+        let scene = &assets.scene;
+        let config = BackdropConfig {
+            distractors: scene.distractors,
+            table_top: scene.table_top,
+            ..BackdropConfig::default()
+        };
         let backdrop = Backdrop::generate(&config, seed);
         let mut sensor = RgbdSensor::new(assets.scene.camera.sensor(), seed);
         sensor.keep_still(backdrop.items().len());

@@ -53,11 +53,7 @@ impl Default for LabParameters {
 impl LabParameters {
     /// The controller that is asked for instead of the scene's; `validate` refuses other words.
     pub fn generation(&self) -> Option<Generation> {
-        match self.controller.as_str() {
-            "cb3" => Some(Generation::Cb3),
-            "e_series" => Some(Generation::ESeries),
-            _ => None,
-        }
+        Generation::of(&self.controller)
     }
 }
 

@@ -88,6 +88,27 @@ impl Lesson {
         }
     }
 
+    /// With the networks of a model folder that `tdv teach` wrote, its demonstration too.
+    ///
+    /// # Errors
+    /// Of the files.
+    pub fn taught(folder: &Path, task: &Task) -> Result<Self, Table2Error> {
+        let demonstration = Demonstration::load(&folder.join("demonstration.json"))?;
+        let names: Vec<&str> = demonstration.procedures.iter().map(|p| p.name.as_str()).collect();
+        let file = |name: &str| folder.join(name);
+        let policy = TrainedPolicy::load_for(&file("policy.safetensors"), &task.name, &names)?;
+        let switch = SwitchPolicy::load_for(&file("switch.safetensors"), &task.name, &names)?;
+        let run = format!("{} {} {}", policy.dataset_hash, policy.seed, policy.steps);
+        let tasks: Vec<&str> = policy.tasks().collect();
+        let identity = [demonstration.hash(), run, tasks.join(" ")];
+        Ok(Self {
+            hash: super::fnv(identity.iter().map(String::as_str)),
+            pupil: Some(Pupil { policy, switch, folder: folder.to_owned() }),
+            dt: task.generation.retime.dt,
+            demonstration,
+        })
+    }
+
     /// Takes the networks from `cache` or trains them and puts them there. Trajectories keep clear of the
     /// `surroundings`.
     ///

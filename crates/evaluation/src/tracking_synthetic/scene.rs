@@ -9,9 +9,9 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use tdv_geometry::{Pose, pose_from_xyz_rpy};
 use tdv_rendering::mesh::primitives::{cuboid, cylinder, rounded_cuboid};
-use tdv_rendering::{DepthOnly, Instance, Intrinsics, Mesh, Renderer, RgbImage, look_at};
+use tdv_rendering::{DepthOnly, Instance, Intrinsics, Mesh, Renderer, look_at};
 use tdv_simulation::avatar::{GraspTarget, HandPose, HandShape, Skin, fit_grasp};
-use tdv_simulation::backdrop::{Backdrop, BackdropConfig, FIRST_FREE_ID};
+use tdv_simulation::backdrop::{Backdrop, BackdropConfig, FIRST_FREE_ID, TableTop};
 
 /// Id of the object in the id image.
 pub const OBJECT_ID: u16 = FIRST_FREE_ID;
@@ -120,38 +120,14 @@ fn background(index: usize, seed: u64) -> Backdrop {
         clear_x: [0.0, 0.7],
         clear_y: if index == 3 { [-0.08, 0.08] } else { [-0.16, 0.16] },
         margin: 0.25,
+        table_top: match index {
+            2 => TableTop::Checked,
+            3 => TableTop::Printed,
+            _ => TableTop::Plain,
+        },
         ..BackdropConfig::default()
     };
-    let mut out = Backdrop::generate(&config, seed);
-    if index >= 2
-        && let Some(table) = out.fixtures.first_mut()
-    {
-        table.mesh.texture = Some(cloth(index == 3, seed));
-    }
-    out
-}
-
-fn cloth(printed: bool, seed: u64) -> RgbImage {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x636c_6f74);
-    let inks: [[u8; 3]; 3] = if printed {
-        [[186, 176, 150], [120, 84, 60], [92, 110, 128]]
-    } else {
-        [[206, 202, 196], [110, 116, 126], [160, 160, 164]]
-    };
-    let mut out = RgbImage::new(512, 512);
-    for (x, y, p) in out.enumerate_pixels_mut() {
-        let (i, j) = (x / 16, y / 16);
-        let ink = if printed {
-            // Blots of a hash of the cell.
-            let h = (i / 2).wrapping_mul(73_856_093) ^ (j / 2).wrapping_mul(19_349_663);
-            usize::from(h % 7 == 0) + 2 * usize::from(h % 11 == 3)
-        } else {
-            ((i + j) % 2 + u32::from(i % 4 == 0)) as usize
-        };
-        let grain = rng.random_range(-6.0..6.0_f32);
-        p.0 = inks[ink.min(2)].map(|c| (f32::from(c) + grain).clamp(0.0, 255.0) as u8);
-    }
-    out
+    Backdrop::generate(&config, seed)
 }
 
 /// Brings the middle of a mesh's box to the origin.

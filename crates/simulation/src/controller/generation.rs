@@ -12,6 +12,22 @@ pub enum Generation {
 }
 
 impl Generation {
+    /// All of them.
+    pub const ALL: [Self; 2] = [Self::Cb3, Self::ESeries];
+
+    /// The one of a name.
+    pub fn of(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|g| g.name() == name)
+    }
+
+    /// As parameters and commands name it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Cb3 => "cb3",
+            Self::ESeries => "e_series",
+        }
+    }
+
     /// The arm that it drives.
     pub fn arm(self) -> ArmModel {
         match self {

@@ -41,7 +41,7 @@ pub fn run(args: &Table2Args, jobs: &[Job], file: &Path, done: &dyn Fn()) -> any
         let scene = Scene::load(Path::new(&job.stage.task.scene))?;
         let task = &job.stage.task;
         let model = one.model.clone().unwrap_or_default();
-        let setup = eval::setup(&one, task, &scene, &job.stage.demonstration, &model, one.seed);
+        let setup = eval::setup(&one, task, &scene, &job.stage.demonstration, &model, one.seed)?;
         let outcome =
             run_trial(&setup, &shutdown).with_context(|| format!("trial {}", one.seed))?;
         let trial = eval::trial(task, one.seed, &outcome);
@@ -74,27 +74,13 @@ pub fn run(args: &Table2Args, jobs: &[Job], file: &Path, done: &dyn Fn()) -> any
 /// What `tdv eval closed-loop` would be given for this one trial.
 fn arguments(args: &Table2Args, job: &Job) -> ClosedLoopArgs {
     let task = PathBuf::from(format!("config/tasks/{}.yaml", job.stage.task.name));
+    let model = job.lesson.pupil.as_ref().map(|p| p.folder.clone());
+    let seed = job.cell.seed * STRIDE + job.trial as u64;
     ClosedLoopArgs {
-        task,
-        trials: 1,
-        seed: job.cell.seed * STRIDE + job.trial as u64,
-        live: true,
-        json: None,
-        model: job.lesson.pupil.as_ref().map(|p| p.folder.clone()),
         disturb: job.cell.disturbed,
-        drop: false,
-        driver: None,
-        freeze_perception: false,
-        untrained: false,
         open_loop: job.cell.policy == PolicyKind::OpenLoop,
-        grasp_offset: 0.0,
-        kill: None,
-        kill_carrying: false,
         launch_file: args.launch_file.clone(),
-        controller: None,
-        run: args.out.join("live"),
-        pictures: false,
-        bag: false,
+        ..ClosedLoopArgs::one(task, model, seed, args.out.join("live"))
     }
 }
 
