@@ -1,6 +1,8 @@
 //! Cells, their trials, and running them on several threads.
 
+use super::layout::{self, Start};
 use super::record::key;
+use super::trial::start;
 use super::{
     Arm, Course, Lesson, Level, PolicyKind, PoseNoise, Setting, Surroundings, Table2Error,
     TrialRecord, demonstrate, run_trial,
@@ -9,6 +11,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use tdv_demonstration::{Demonstration, Task};
+use tdv_simulation::scene::{Placement, Spot};
 use tdv_simulation::{LabAssets, Scene};
 
 /// Trials of a cell whose starts are the fixed points; those that follow are drawn.
@@ -98,12 +101,33 @@ impl Job {
         )
     }
 
+    /// The scene with the object that varies at this trial's start, for a lab elsewhere.
+    ///
+    /// # Errors
+    /// Of the scene.
+    pub fn scene(&self) -> Result<(Scene, Start), Table2Error> {
+        let start = start(&self.setting(PoseNoise::default()), self.trial)?;
+        let mut scene = self.stage.assets.scene.clone();
+        let varied = scene.index_of(layout::varied(&scene, &self.stage.task))?;
+        scene.objects[varied].start = Placement::Spot(Spot {
+            xy: [start.x, start.y],
+            yaw_deg: start.yaw.to_degrees(),
+            jitter: 0.0,
+            jitter_deg: 0.0,
+        });
+        Ok((scene, start))
+    }
+
     /// Does it.
     ///
     /// # Errors
     /// As [`run_trial`].
     pub fn run(&self, noise: PoseNoise) -> Result<TrialRecord, Table2Error> {
-        let setting = Setting {
+        run_trial(&self.setting(noise), self.trial)
+    }
+
+    fn setting(&self, noise: PoseNoise) -> Setting<'_> {
+        Setting {
             task: &self.stage.task,
             assets: &self.stage.assets,
             surroundings: self.stage.surroundings.as_ref(),
@@ -115,8 +139,7 @@ impl Job {
             arm: &self.cell.arm,
             noise,
             seed: self.cell.seed,
-        };
-        run_trial(&setting, self.trial)
+        }
     }
 }
 

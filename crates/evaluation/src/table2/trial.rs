@@ -102,7 +102,7 @@ pub fn run_trial(setting: &Setting<'_>, trial: usize) -> Result<TrialRecord, Tab
     Ok(run.record(setting, start, trial, began.elapsed().as_secs_f64()))
 }
 
-fn start(setting: &Setting<'_>, trial: usize) -> Result<Start, Table2Error> {
+pub(super) fn start(setting: &Setting<'_>, trial: usize) -> Result<Start, Table2Error> {
     let scene = &setting.assets.scene;
     let seed = environment(&scene.name, setting.seed, trial);
     let reference = scene.draw_starts(seed)?[scene.index_of(&scene.task.reference)?];

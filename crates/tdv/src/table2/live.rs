@@ -4,11 +4,8 @@ use crate::arguments::{ClosedLoopArgs, Table2Args};
 use crate::eval;
 use anyhow::{Context as _, bail};
 use std::path::{Path, PathBuf};
-use tdv_evaluation::table2::{
-    Arm, Cause, Job, Level, PolicyKind, Start, TrialRecord, append_record,
-};
+use tdv_evaluation::table2::{Arm, Cause, Job, PolicyKind, Start, TrialRecord, append_record};
 use tdv_runtime::trial::{run_trial, shutdown_on_signals};
-use tdv_simulation::Scene;
 
 /// Between the labs' seeds of two seeds of the table.
 const STRIDE: u64 = 10_000;
@@ -20,15 +17,6 @@ pub fn key(job: &Job) -> String {
 
 /// Runs the jobs and appends their records to `file`.
 pub fn run(args: &Table2Args, jobs: &[Job], file: &Path, done: &dyn Fn()) -> anyhow::Result<()> {
-    if let Some(job) = jobs.iter().find(|j| j.cell.level == Level::PG) {
-        bail!(
-            "level {}: the live lab draws position and yaw; give --levels PoG --no-points",
-            job.cell.level.name()
-        );
-    }
-    if !args.no_points && !jobs.is_empty() {
-        bail!("the live lab draws its starts: give --no-points");
-    }
     if jobs.iter().any(|j| j.cell.policy == PolicyKind::StraightLine) {
         bail!("the live graph has no straight_line policy; leave it out of --policies");
     }
@@ -37,21 +25,27 @@ pub fn run(args: &Table2Args, jobs: &[Job], file: &Path, done: &dyn Fn()) -> any
     }
     let shutdown = shutdown_on_signals()?;
     for job in jobs {
-        let one = arguments(args, job);
-        let scene = Scene::load(Path::new(&job.stage.task.scene))?;
+        let (scene, start) = job.scene()?;
+        let folder = args.out.join("live");
+        std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+        let file_of_scene = folder.join("scene.yaml");
+        scene.save(&file_of_scene)?;
+        let one = ClosedLoopArgs {
+            settings: vec![format!("scene:={}", file_of_scene.display())],
+            ..arguments(args, job)
+        };
         let task = &job.stage.task;
         let model = one.model.clone().unwrap_or_default();
         let setup = eval::setup(&one, task, &scene, &job.stage.demonstration, &model, one.seed)?;
         let outcome =
             run_trial(&setup, &shutdown).with_context(|| format!("trial {}", one.seed))?;
         let trial = eval::trial(task, one.seed, &outcome);
-        let [x, y, _, yaw] = trial.start;
         let fell = ["fell off", "knocked over", "on its side"];
         let fell = fell.iter().any(|w| trial.reason.contains(w));
         append_record(
             file,
             &TrialRecord {
-                start: Start { x, y, yaw, point: None },
+                start,
                 success: trial.success,
                 cause: (!trial.success).then_some(if fell {
                     Cause::Fell
