@@ -119,7 +119,7 @@ impl ObjectModel {
                 hint: "use plain words such as red, blue, brown, grey",
             });
         }
-        let mesh = file.load_mesh(dir)?;
+        let mesh = file.load_seen(dir)?;
         let mut model = Self::new(&file.name.to_lowercase(), mesh, file.symmetry);
         model.synonyms = file.synonyms.iter().map(|s| s.to_lowercase()).collect();
         model.colors = file.colors.iter().map(|s| s.to_lowercase()).collect();

@@ -40,6 +40,7 @@ pub fn make_entry(words: &EntryWords, mesh: &Mesh, symmetry: Symmetry) -> (Mesh,
             color_words(colors.iter().copied()).into_iter().map(str::to_owned).collect()
         },
         mesh: MESH_FILE.into(),
+        seen: None,
         mass: words.mass.unwrap_or_else(|| guess_mass(&mesh)),
         friction: words.friction,
         palette: if plain { Vec::new() } else { main_colors(&colors) },

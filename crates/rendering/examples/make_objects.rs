@@ -129,6 +129,7 @@ fn all() -> Vec<Made> {
         synonyms: vec![],
         colors: vec![],
         mesh: "mesh.obj".to_owned(),
+        seen: None,
         symmetry: Symmetry::None,
         mass: 0.1,
         friction: 0.6,
@@ -237,10 +238,11 @@ fn yaml(made: &Made) -> String {
         }
     };
     let palette: Vec<String> = f.palette.iter().map(|c| numbers(c)).collect();
+    let seen = f.seen.as_ref().map_or(String::new(), |file| format!("seen: {file}\n"));
     // Writing into a String cannot fail.
     let _ = write!(
         out,
-        "name: {}\nsynonyms: [{}]\ncolors: [{}]\nmesh: {}\nsymmetry: {symmetry}\nmass: {}\n\
+        "name: {}\nsynonyms: [{}]\ncolors: [{}]\nmesh: {}\n{seen}symmetry: {symmetry}\nmass: {}\n\
          friction: {}\npalette: [{}]\ncollision:\n",
         f.name,
         f.synonyms.join(", "),
@@ -271,7 +273,22 @@ fn yaml(made: &Made) -> String {
 /// Every file with its contents, relative to `config/objects`.
 pub fn files() -> Vec<(PathBuf, String)> {
     let mut out = Vec::new();
-    for made in all().into_iter().chain(task_objects::all()) {
+    let mut all: Vec<Made> = all().into_iter().chain(task_objects::all()).collect();
+    for (name, belongs) in task_objects::BELONGS {
+        let find = |n: &str| all.iter().find(|m| m.file.name == n);
+        let (Some(object), Some(more)) = (find(name), find(belongs)) else { continue };
+        let mut whole = object.mesh.clone();
+        whole.append(&more.mesh);
+        let palette = [object.file.palette.clone(), more.file.palette.clone()].concat();
+        let (obj, mtl) = whole.to_obj("seen.mtl");
+        out.push((Path::new(name).join("seen.obj"), obj));
+        out.push((Path::new(name).join("seen.mtl"), mtl));
+        if let Some(made) = all.iter_mut().find(|m| m.file.name == name) {
+            made.file.seen = Some("seen.obj".into());
+            made.file.palette = palette;
+        }
+    }
+    for made in all {
         let dir = PathBuf::from(&made.file.name);
         let (obj, mtl) = made.mesh.to_obj("mesh.mtl");
         out.push((dir.join("object.yaml"), yaml(&made)));

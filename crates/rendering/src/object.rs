@@ -93,6 +93,10 @@ pub struct ObjectFile {
     pub colors: Vec<String>,
     /// Mesh file, relative to the folder.
     pub mesh: String,
+    /// Mesh by which a camera knows it, where something belongs to it that is no part of it: a cabinet
+    /// with its drawer shut. Relative to the folder; none: `mesh`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seen: Option<String>,
     /// Rotations that leave it looking the same.
     #[serde(default)]
     pub symmetry: Symmetry,
@@ -141,6 +145,14 @@ impl ObjectFile {
     /// [`ObjectError::Mesh`].
     pub fn load_mesh(&self, dir: &Path) -> Result<Mesh, ObjectError> {
         Ok(Mesh::load(&dir.join(&self.mesh))?)
+    }
+
+    /// Loads the mesh by which a camera knows the object.
+    ///
+    /// # Errors
+    /// [`ObjectError::Mesh`].
+    pub fn load_seen(&self, dir: &Path) -> Result<Mesh, ObjectError> {
+        Ok(Mesh::load(&dir.join(self.seen.as_ref().unwrap_or(&self.mesh)))?)
     }
 
     fn check(&self, path: &Path) -> Result<(), ObjectError> {

@@ -32,7 +32,7 @@ const HANGING: [&str; 3] = ["cube", "drawer", "tissue"];
 #[test]
 fn committed_files_are_regenerated_byte_by_byte() {
     let made = files();
-    assert_eq!(made.len(), 3 * NAMES.len());
+    assert_eq!(made.len(), 3 * NAMES.len() + 2 * 2);
     for (name, text) in made {
         let committed = std::fs::read_to_string(root().join(&name)).unwrap();
         assert!(

@@ -33,7 +33,6 @@ const FORGIVEN: Duration = Duration::from_millis(50);
 /// Fingers that follow their drive exactly and stop at what is between them.
 struct Fingers {
     gap: f64,
-    rate: f64,
     object: f64,
 }
 
@@ -63,7 +62,7 @@ fn run() -> Result<(), String> {
     let server = UrServer::start(config, generation).map_err(|e| e.to_string())?;
     let mut controller = Controller::with_power(generation, HOME, powered);
     let mut gripper = Gripper::new();
-    let mut fingers = Fingers { gap: STROKE, rate: 0.0, object: 0.0 };
+    let mut fingers = Fingers { gap: STROKE, object: 0.0 };
 
     let (lines, received) = channel();
     std::thread::spawn(move || {
@@ -83,11 +82,9 @@ fn run() -> Result<(), String> {
         let took = began.elapsed();
         (busy, worst, ticks) = (busy + took, worst.max(took), ticks + 1);
         gripper.set_request(server.exchange_gripper(gripper.status()));
-        let drive = gripper.step(DT, fingers.gap, fingers.rate);
+        let drive = gripper.step(DT, fingers.gap);
         let step = (drive.gap - fingers.gap).clamp(-drive.speed * DT, drive.speed * DT);
-        let to = (fingers.gap + step).max(fingers.object.min(fingers.gap));
-        fingers.rate = (to - fingers.gap) / DT;
-        fingers.gap = to;
+        fingers.gap = (fingers.gap + step).max(fingers.object.min(fingers.gap));
         let mean = busy.as_secs_f64() * 1e6 / f64::from(ticks);
         if !obey(&received, &mut controller, &mut fingers, [mean, worst.as_secs_f64() * 1e6]) {
             return Ok(());

@@ -163,7 +163,11 @@ pub fn setup(
     set("scene", task.scene.clone());
     set("model", model.display().to_string());
     set("prompt", task.text.clone());
-    set("objects", format!("[{}, {}]", task.reference_object, task.moving_object));
+    // A hand's tool is no object of the catalogue.
+    let others = task.objects.keys().filter(|name| **name != task.reference_object);
+    let names: Vec<&str> =
+        std::iter::once(&task.reference_object).chain(others).map(String::as_str).collect();
+    set("objects", format!("[{}]", names.join(", ")));
     set("seed", seed.to_string());
     if let Some(place) = demonstration.procedures.last() {
         let goal = place.goal();

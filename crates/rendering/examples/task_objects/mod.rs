@@ -71,6 +71,7 @@ fn file(name: &str, synonyms: &[&str], colors: &[&str], mass: f64, friction: f64
         synonyms: words(synonyms),
         colors: words(colors),
         mesh: "mesh.obj".to_owned(),
+        seen: None,
         symmetry: Symmetry::None,
         mass,
         friction,
@@ -223,6 +224,9 @@ fn tumbler() -> Made {
 }
 
 /// Open at +x, where the drawer comes out.
+/// What is seen with an object, in the same frame.
+pub const BELONGS: [(&str, &str); 2] = [("cabinet", "drawer"), ("tissue_box", "tissue")];
+
 fn cabinet() -> Made {
     let parts = vec![
         span([-0.080, -0.090, 0.0], [0.080, 0.090, 0.008]),
