@@ -116,7 +116,7 @@ mod tests {
         // Where the tool of the first procedure ends, in its reference's frame, and what follows.
         for (name, grasp, second) in [
             ("cup_on_coaster", [0.0, 0.0, 0.0625], Open),
-            ("stitch_on_card", [0.0, 0.0, 0.052], Open),
+            ("stitch_on_card", [0.0, 0.0, 0.048], Open),
             ("ring_on_peg", [0.0, 0.0, 0.0225], Open),
             ("pour_water", [0.0, 0.0, 0.050], Stay),
             ("open_drawer", [0.145, 0.0, 0.064], Open),
