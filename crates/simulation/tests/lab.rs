@@ -165,7 +165,7 @@ fn the_lab_is_deterministic_and_seeds_differ() {
 fn a_forced_drop_loses_the_mug_once_and_leaves_it_standing_mostly() {
     let (mut dropped, mut standing) = (0, 0);
     let assets = assets();
-    for seed in 1..=10 {
+    for seed in 1..=30 {
         let mut lab = Lab::from_assets(assets.clone(), seed).unwrap();
         let goal = PlacingGoal { offset: [0.0, 0.0], yaw: 0.0 };
         lab.begin_trial(goal).unwrap();
@@ -179,5 +179,5 @@ fn a_forced_drop_loses_the_mug_once_and_leaves_it_standing_mostly() {
         assert!(!script.lab.held("mug").unwrap());
     }
     println!("{dropped} dropped, {standing} standing");
-    assert!(dropped >= 9 && standing >= 8, "{dropped} dropped, {standing} standing");
+    assert!(dropped >= 27 && standing >= 24, "{dropped} dropped, {standing} standing");
 }

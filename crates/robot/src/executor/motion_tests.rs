@@ -367,7 +367,7 @@ fn what_is_planned_is_what_comes() {
     b.motion.follow(&to(0.3, 1.0), NOW).unwrap();
     b.run(20);
     let clock = b.input.clock;
-    let planned = b.motion.planned(clock.plus(0.4)).unwrap();
+    let planned = b.motion.planned(clock.plus(49.0 * DT)).unwrap();
     let end = b.motion.planned(clock.plus(5.0)).unwrap();
     assert_eq!(b.motion.planned(clock.plus(-30.0)), None, "long gone");
     let came = b.run(50).last().copied().flatten().unwrap();
