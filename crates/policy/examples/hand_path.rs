@@ -16,6 +16,8 @@ use tdv_policy::{Planner, PlannerConfig, PolicyConfig, TrainConfig, TrainingSet}
 
 /// Largest distance (m) and angle (rad) from the path.
 const WANTED: (f64, f64) = (0.005, 3.0 * std::f64::consts::PI / 180.0);
+/// Poses of the path nearer than this (m) to a trajectory made of it are on it.
+const SAME: f64 = 0.001;
 /// What a turn counts (m/rad) in the search for the nearest pose.
 const LEVER: f64 = 0.1;
 
@@ -47,6 +49,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let set = TrainingSet::from(&generate(demonstration, &task, count, seed)?.0);
     let unseen = TrainingSet::from(&generate(demonstration, &task, 10, seed + 1000)?.0);
 
+    // The person's hand came from beside the table, below its top, where no gripper goes.
+    let whole = path.len();
+    let shown = &set.procedures[0].trajectories[0];
+    let path: Vec<Pose> = path.into_iter().skip_while(|p| off(p, shown).0 > SAME).collect();
+    println!("{} of {whole} poses of the path are above the table", path.len());
+
     let policy = PolicyConfig { dt: set.dt, ..PolicyConfig::small() };
     let train = TrainConfig { steps, seed, ..TrainConfig::default() };
     let mut loss = 0.0;
@@ -54,9 +62,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("{} poses over {:.1} s, loss {loss:.5}", path.len(), path.len() as f64 * set.dt);
 
     let mut planner = Planner::new(&trained, PlannerConfig::default())?;
-    let ways = std::iter::once(&path).chain(&unseen.procedures[0].trajectories[..10]);
     let mut worst = (0.0f64, 0.0f64);
-    for (i, way) in ways.enumerate() {
+    for (i, way) in unseen.procedures[0].trajectories[..10].iter().enumerate() {
         let trial = RolloutTrial::of(0, way);
         let config = RolloutConfig { steps: way.len() + 40, ..RolloutConfig::default() };
         let done = rollout(&mut planner, &trial, &config, seed + i as u64)?;
