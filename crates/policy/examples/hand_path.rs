@@ -37,7 +37,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         return Err("arguments: recording, task file, trajectories, steps, seed".into());
     };
     let number = |i: usize, default: u64| args.get(i).map_or(Ok(default), |a| a.parse::<u64>());
-    let (count, steps, seed) = (number(2, 100)? as usize, number(3, 600)? as usize, number(4, 0)?);
+    let (count, steps, seed) = (number(2, 100)? as usize, number(3, 3000)? as usize, number(4, 0)?);
     let mut task = Task::load(Path::new(task))?;
     (task.kind, task.moving_object) = (TaskKind::Hand, "tcp".into());
     task.objects.retain(|name, _| *name == task.reference_object);
