@@ -165,6 +165,16 @@ impl ObjectModel {
         pose_distance(&self.nearest(a, &b.rotation), b)
     }
 
+    /// Whether its file says that it has this colour (a canonical colour word).
+    pub fn is_called(&self, color: &str) -> bool {
+        self.colors.iter().any(|c| color_word(c) == Some(color))
+    }
+
+    /// Whether a part of it has this colour, by its file or its palette.
+    pub fn shows(&self, color: &str) -> bool {
+        self.is_called(color) || self.palette.shows(color)
+    }
+
     /// Edge lengths of the bounding box (m).
     pub fn size(&self) -> Vector3<f64> {
         self.max - self.min
@@ -270,6 +280,16 @@ fn mesh_palette(mesh: &Mesh) -> Palette {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_own_catalogue_is_read_whole() {
+        let all =
+            Catalogue::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/objects"));
+        let all = all.unwrap();
+        assert!(all.models.len() >= 17);
+        assert!(all.get("cube").unwrap().is_called("brown"));
+        assert!(all.get("mug").unwrap().shows("blue") && !all.get("mug").unwrap().shows("red"));
+    }
 
     #[test]
     fn errors_name_file_and_field() {

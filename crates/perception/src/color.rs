@@ -46,9 +46,32 @@ pub const COLOR_WORDS: [(&str, [u8; 3]); 12] = [
     ("black", [25, 25, 25]),
 ];
 
+/// Other words for the same colours.
+const SAME_COLOR: [(&str, &str); 19] = [
+    ("gray", "grey"),
+    ("silver", "grey"),
+    ("steel", "grey"),
+    ("metal", "grey"),
+    ("cream", "white"),
+    ("ivory", "white"),
+    ("wooden", "brown"),
+    ("beige", "brown"),
+    ("tan", "brown"),
+    ("teal", "turquoise"),
+    ("cyan", "turquoise"),
+    ("aqua", "turquoise"),
+    ("violet", "purple"),
+    ("lilac", "purple"),
+    ("magenta", "pink"),
+    ("navy", "blue"),
+    ("crimson", "red"),
+    ("scarlet", "red"),
+    ("golden", "yellow"),
+];
+
 /// The canonical colour word of `word` ("gray" is "grey"), if it is one.
 pub fn color_word(word: &str) -> Option<&'static str> {
-    let word = if word == "gray" { "grey" } else { word };
+    let word = SAME_COLOR.iter().find(|(other, _)| *other == word).map_or(word, |(_, plain)| plain);
     COLOR_WORDS.iter().find(|(name, _)| *name == word).map(|(name, _)| *name)
 }
 
@@ -83,6 +106,15 @@ impl Palette {
     /// No colour known: the palette says nothing.
     pub fn is_empty(&self) -> bool {
         self.entries.is_empty()
+    }
+
+    /// Whether one of its colours is what the word (a canonical one) means.
+    pub fn shows(&self, word: &str) -> bool {
+        let Some((_, rgb)) = COLOR_WORDS.iter().find(|(name, _)| *name == word) else {
+            return false;
+        };
+        let meant = Hsv::from(*rgb);
+        self.entries.iter().any(|(e, _)| fit_one(&meant, e) > 0.2)
     }
 
     /// How well a pixel's colour fits the nearest palette colour, 0..1. Hue decides for saturated
@@ -164,6 +196,8 @@ mod tests {
         let p = Palette::new([([40, 80, 190], 1.0)]);
         assert!(p.fit([25, 50, 115]) > 0.6, "the same blue in shadow");
         assert!(p.fit([130, 75, 40]) < 0.1);
+        assert!(p.shows("blue") && !p.shows("red") && !p.shows("grey"));
+        assert_eq!(color_word("wooden"), Some("brown"));
         assert!(p.fit([150, 150, 150]) < 0.1);
         let grey = Palette::new([([128, 128, 128], 1.0)]);
         assert!(grey.fit([110, 110, 112]) > 0.8 && grey.fit([200, 30, 30]) < 0.1);

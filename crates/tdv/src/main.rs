@@ -8,6 +8,7 @@ mod doctor;
 mod eval;
 mod faults;
 mod graph;
+mod hands;
 mod launch;
 mod live_faults;
 mod motion;
@@ -20,6 +21,7 @@ mod report;
 mod table2;
 mod teach;
 mod teach_multi;
+mod text_to_mask;
 mod tracking;
 mod tracking_synthetic;
 mod training;
@@ -41,6 +43,8 @@ fn main() -> ExitCode {
         Command::Eval(EvalCommand::ClosedLoop(a)) => eval::closed_loop(&a),
         Command::Eval(EvalCommand::Faults(a)) => faults::campaign(&a),
         Command::Eval(EvalCommand::Tracking(a)) => tracking::run(&a),
+        Command::Eval(EvalCommand::Hands(a)) => hands::run(&a),
+        Command::Eval(EvalCommand::TextToMask(a)) => text_to_mask::run(&a),
         Command::Eval(EvalCommand::Table2(a)) => table2::table(&a),
         Command::Eval(EvalCommand::Ablations(a)) => table2::ablations(&a),
         Command::Object(ObjectCommand::Add(a)) => object::add(&a).map(|()| true),
