@@ -124,7 +124,10 @@ impl ObjectModel {
         model.synonyms = file.synonyms.iter().map(|s| s.to_lowercase()).collect();
         model.colors = file.colors.iter().map(|s| s.to_lowercase()).collect();
         if !file.palette.is_empty() {
-            model.palette = Palette::new(file.palette.into_iter().map(|c| (c, 1.0)));
+            // The first one covers most of it.
+            let weight = |i: usize| if i == 0 { 2.0 } else { 1.0 };
+            let colors = file.palette.into_iter().enumerate();
+            model.palette = Palette::new(colors.map(|(i, c)| (c, weight(i))));
         }
         Ok(model)
     }
@@ -139,6 +142,12 @@ impl ObjectModel {
             mesh: Arc::new(self.mesh.scaled(factor)),
             ..self.clone()
         }
+    }
+
+    /// The same object, looked for by other colours.
+    #[must_use]
+    pub fn recolored(&self, palette: Palette) -> Self {
+        Self { palette, ..self.clone() }
     }
 
     /// Centre of the bounding box in the object frame.

@@ -12,6 +12,9 @@ use nalgebra::{Point3, Vector3};
 const TALL_M: f64 = 0.012;
 /// Lowest smoothed height (m) of a thin object whose colour differs from the table's.
 const THIN_M: f64 = 0.0025;
+/// Height (m) of an object that is looked for by its colour alone, and of the cells that may be its.
+const FLAT_M: f64 = 0.009;
+const FLAT_BAND_M: f32 = 0.012;
 /// Highest point (m) above the table that is looked at.
 const CEILING_M: f64 = 0.45;
 /// A mask grows over gaps of so many pixels,
@@ -20,6 +23,8 @@ const GROW_PX: i32 = 2;
 const GROW_M: f32 = 0.06;
 /// What the height's fit never falls below: an object may be held.
 const HELD: f64 = 0.15;
+/// Least part of an object's cells that has its main colour.
+const MAIN_SHARE: f64 = 0.15;
 /// Fewest cells of a group.
 const MIN_CELLS: usize = 40;
 
@@ -104,8 +109,20 @@ impl Scene {
         if model.palette.is_empty() {
             return Vec::new();
         }
+        let like = |i: usize| model.palette.fit(self.colors[i]) > 0.3;
+        // What lies flat is hardly higher than the table's noise, and large enough to count among the
+        // table's own colours: its colour has to do, if it is not really the table's.
+        let level = |i: usize| self.heights[i].abs() < FLAT_BAND_M;
+        let flat = model.size().z < FLAT_M && model.resting == Resting::Upright && {
+            let (mut on, mut own) = (0_usize, 0_usize);
+            for i in (0..self.class.len()).step_by(7).filter(|i| level(*i)) {
+                on += 1;
+                own += usize::from(like(i));
+            }
+            8 * own < on
+        };
         let fits: Vec<bool> = (0..self.class.len())
-            .map(|i| self.class[i] > 0 && model.palette.fit(self.colors[i]) > 0.3)
+            .map(|i| (self.class[i] > 0 || (flat && level(i))) && like(i))
             .collect();
         self.groups(|i| fits[i], |_, _| true)
     }
@@ -231,6 +248,14 @@ impl Scene {
         }
     }
 
+    /// Whether enough of a cluster has the colour that covers most of the model; true without palette.
+    pub(crate) fn shows_main_color(&self, cluster: &Cluster, model: &ObjectModel) -> bool {
+        let step = cluster.cells.len().div_ceil(400).max(1);
+        let some = || cluster.cells.iter().step_by(step);
+        let own = some().filter(|i| model.palette.is_main(self.colors[**i as usize])).count();
+        model.palette.is_empty() || own as f64 > MAIN_SHARE * some().count() as f64
+    }
+
     /// Full-resolution mask of a cluster of `model` over its bounding window grown by `margin` px.
     /// Thin parts such as a handle often have no depth: pixels that join the cluster and have the
     /// model's colours and not the table's belong to it too.
@@ -240,6 +265,19 @@ impl Scene {
         margin: i32,
         frame: &RgbdFrame,
         model: &ObjectModel,
+    ) -> Mask {
+        self.mask_within(cluster, margin, frame, model, GROW_M)
+    }
+
+    /// As [`Self::mask`]; `reach` (m): how much nearer or farther than the edge of what was found a
+    /// surface may be that is joined to it.
+    pub(crate) fn mask_within(
+        &self,
+        cluster: &Cluster,
+        margin: i32,
+        frame: &RgbdFrame,
+        model: &ObjectModel,
+        reach: f32,
     ) -> Mask {
         let s = self.map.stride as i32;
         let xy = |i: &u32| (*i as i32 % self.map.width as i32, *i as i32 / self.map.width as i32);
@@ -277,7 +315,7 @@ impl Scene {
                 if x < x0 || y < y0 || x >= x1 || y >= y1 || mask.at(x, y) {
                     continue;
                 }
-                let near = frame.depth_at(x, y).is_none_or(|d| (d - z).abs() < GROW_M);
+                let near = frame.depth_at(x, y).is_none_or(|d| (d - z).abs() < reach);
                 let c = frame.color.get_pixel(x as u32, y as u32).0;
                 let own = model.palette.is_empty() || model.palette.fit(c) > 0.3;
                 if near && own && self.table_colors.differs(c) && mask.set(x, y) {

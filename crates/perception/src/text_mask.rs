@@ -3,13 +3,17 @@
 //! fits better is not taken.
 
 use crate::catalogue::ObjectModel;
+use crate::color::Palette;
 use crate::frame::{DepthStatus, FrameError, RgbdFrame};
-use crate::perceiver::window_mask;
 use crate::points::PointMap;
 use crate::prompt::parse_prompt;
 use crate::segment::{Cluster, Mask, Scene};
 use crate::table::{TableConfig, TablePlane, detect_table};
 use serde::{Deserialize, Serialize};
+
+/// How much nearer or farther (m) than the cells of a thing a surface of its colours may be that
+/// belongs to it: another thing of the same colour behind it does not.
+const JOINED_M: f32 = 0.025;
 
 /// Settings.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -74,9 +78,9 @@ pub fn text_masks(
                 _ => "no table plane in view: point the camera at the table".into(),
             });
         };
-        let (fit, cluster) = seen.find(model, models, config)?;
-        let mask = window_mask(&seen.scene, &cluster, frame, &models[model]);
-        Ok(FoundMask { model, mask, fit })
+        let found = seen.find(model, models, config)?;
+        let mask = seen.mask(&found, frame, &models[model]);
+        Ok(FoundMask { model, mask, fit: found.fit })
     };
     let mut out = Vec::with_capacity(prompt.wanted.len() + prompt.unknown.len());
     for w in prompt.wanted {
@@ -112,34 +116,74 @@ impl Seen {
         Self { scene, generic }
     }
 
-    /// The group of cells that fits a model best and no other model better, and how well.
+    /// Another model that fits the cells better, or the whole thing that they are a part of.
+    fn better(
+        &self,
+        found: &Found,
+        wanted: usize,
+        models: &[ObjectModel],
+        rival: f64,
+    ) -> Option<usize> {
+        let inside = |whole: &&Cluster| {
+            let cells = &found.cluster.cells;
+            let step = cells.len().div_ceil(100).max(1);
+            let some = || cells.iter().step_by(step);
+            let shared = some().filter(|i| whole.cells.binary_search(i).is_ok()).count();
+            10 * shared > 8 * some().count() && whole.cells.len() > cells.len()
+        };
+        let whole = self.generic.iter().find(inside);
+        (0..models.len()).filter(|i| *i != wanted).find(|i| {
+            [Some(&found.cluster), whole].into_iter().flatten().any(|c| {
+                self.scene.fit(c, &models[*i]).resting() > rival * found.fit
+                    && self.scene.shows_main_color(c, &models[*i])
+            })
+        })
+    }
+
+    /// The pixels of a group of cells, in a window with room for what of it was not found.
+    fn mask(&self, found: &Found, frame: &RgbdFrame, model: &ObjectModel) -> Mask {
+        let c = &found.cluster;
+        let span = c.length.max(c.top).max(0.05) * frame.intrinsics.fx / c.centroid.z.max(0.1);
+        let margin = (0.35 * span) as i32 + 4;
+        let palette = found.vivid.as_ref().unwrap_or(&model.palette).clone();
+        let model = model.recolored(palette);
+        self.scene.mask_within(c, margin, frame, &model, JOINED_M)
+    }
+
+    /// The group of cells that fits a model best and no other model better.
     fn find(
         &self,
         wanted: usize,
         models: &[ObjectModel],
         config: &TextMaskConfig,
-    ) -> Result<(f64, Cluster), String> {
+    ) -> Result<Found, String> {
         let model = &models[wanted];
-        let mut ranked: Vec<(f64, Cluster)> = self
-            .scene
-            .colored_clusters(model)
-            .into_iter()
-            .chain(self.generic.iter().cloned())
-            .map(|c| (self.scene.fit(&c, model).resting(), c))
+        let vivid = model.palette.vivid().map(|palette| model.recolored(palette));
+        let whole = self.scene.colored_clusters(model).into_iter().chain(self.generic.clone());
+        let strong = vivid.iter().flat_map(|m| self.scene.colored_clusters(m));
+        let mut ranked: Vec<Found> = whole
+            .map(|c| (c, None))
+            .chain(strong.map(|c| (c, vivid.as_ref().map(|m| m.palette.clone()))))
+            .map(|(cluster, vivid)| Found {
+                fit: self.scene.fit(&cluster, model).resting(),
+                cluster,
+                vivid,
+            })
             .collect();
-        ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let Some(best) = ranked.first().map(|r| r.0) else {
+        // Strong colours alone leave a part out: only where all colours together fit clearly worse.
+        let rank = |f: &Found| f.fit * if f.vivid.is_some() { 0.8 } else { 1.0 };
+        ranked.sort_by(|a, b| rank(b).total_cmp(&rank(a)));
+        let Some(best) = ranked.iter().map(|r| r.fit).reduce(f64::max) else {
             return Err(format!("no {} seen: nothing stands on the table", model.name));
         };
         let mut rival = None;
-        for (fit, cluster) in ranked.into_iter().take_while(|r| r.0 >= config.min_fit) {
-            let others = (0..models.len()).filter(|i| *i != wanted);
-            let better = others
-                .map(|i| (self.scene.fit(&cluster, &models[i]).resting(), i))
-                .find(|(other, _)| *other > config.rival * fit);
-            match better {
-                Some((_, i)) => rival = rival.or(Some(i)),
-                None => return Ok((fit, cluster)),
+        for found in ranked.into_iter().filter(|r| r.fit >= config.min_fit) {
+            if !self.scene.shows_main_color(&found.cluster, model) {
+                continue;
+            }
+            match self.better(&found, wanted, models, config.rival) {
+                Some(i) => rival = rival.or(Some(i)),
+                None => return Ok(found),
             }
         }
         Err(match rival {
@@ -156,6 +200,14 @@ impl Seen {
             ),
         })
     }
+}
+
+/// A group of cells that is taken for a model.
+struct Found {
+    fit: f64,
+    cluster: Cluster,
+    /// The colours by which it was found, if they are not all of the model's.
+    vivid: Option<Palette>,
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use std::fmt::Write as _;
 pub const WANTED_RIGHT_PERCENT: f64 = 95.0;
 /// Mean overlap with what is there, a missing mask counting as none.
 pub const WANTED_IOU: f64 = 0.85;
-/// Milliseconds from the pictures to the mask, median.
+/// Milliseconds of processor time from the pictures to the mask, median.
 pub const WANTED_MS: f64 = 15.0;
 
 /// Figures of one group of answers.
@@ -52,7 +52,7 @@ pub struct TextMaskReport {
     pub kinds: Vec<Group>,
     /// By the object meant.
     pub objects: Vec<Group>,
-    /// Milliseconds from the pictures to the mask: median, 95th percentile, most.
+    /// Milliseconds of processor time from the pictures to the mask: median, 95th percentile, most.
     pub ms: [f64; 3],
     /// One by one.
     pub answers: Vec<Answer>,
@@ -115,7 +115,10 @@ impl TextMaskReport {
             let _ = writeln!(out, "wrong: {} {:?} means {target}: {said}", a.scene, a.text);
         }
         let [median, p95, most] = self.ms;
-        let _ = writeln!(out, "time: median {median:.1} ms, p95 {p95:.1} ms, most {most:.1} ms");
+        let _ = writeln!(
+            out,
+            "processor time: median {median:.1} ms, p95 {p95:.1} ms, most {most:.1} ms"
+        );
         let _ = writeln!(
             out,
             "wanted: right >= {WANTED_RIGHT_PERCENT} %, mean IoU >= {WANTED_IOU}, median under \
