@@ -175,11 +175,8 @@ impl Hand {
         let slant = zb - za - expected.z;
         let sigma_length = 0.12 * length + self.blur;
         let sigma_slant = 0.30 * length + 0.004;
-        // The palm is stiff, and the network sees well how it is turned: a finger may not leave it for
-        // something before the hand. Of a finger's own bones the network is less sure.
-        let most = if a == 0 { 9.0 } else { 2.5 };
         (0.5 * (off / sigma_length).powi(2)).min(8.0)
-            + (0.5 * (slant / sigma_slant).powi(2)).min(most)
+            + (0.5 * (slant / sigma_slant).powi(2)).min(2.5)
     }
 
     /// The cheapest depths (grid indices) for a hand of `size`, and their cost.
