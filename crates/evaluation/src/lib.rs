@@ -8,6 +8,7 @@ mod plot;
 mod statistics;
 mod stream;
 pub mod table2;
+pub mod text_to_mask;
 mod tracking;
 pub mod tracking_synthetic;
 

@@ -124,7 +124,10 @@ impl ObjectModel {
         model.synonyms = file.synonyms.iter().map(|s| s.to_lowercase()).collect();
         model.colors = file.colors.iter().map(|s| s.to_lowercase()).collect();
         if !file.palette.is_empty() {
-            model.palette = Palette::new(file.palette.into_iter().map(|c| (c, 1.0)));
+            // The first one covers most of it.
+            let weight = |i: usize| if i == 0 { 2.0 } else { 1.0 };
+            let colors = file.palette.into_iter().enumerate();
+            model.palette = Palette::new(colors.map(|(i, c)| (c, weight(i))));
         }
         Ok(model)
     }
@@ -139,6 +142,12 @@ impl ObjectModel {
             mesh: Arc::new(self.mesh.scaled(factor)),
             ..self.clone()
         }
+    }
+
+    /// The same object, looked for by other colours.
+    #[must_use]
+    pub fn recolored(&self, palette: Palette) -> Self {
+        Self { palette, ..self.clone() }
     }
 
     /// Centre of the bounding box in the object frame.
@@ -163,6 +172,16 @@ impl ObjectModel {
     /// Metres and radians between two poses of the object, the least over its symmetry.
     pub fn distance(&self, a: &Pose, b: &Pose) -> (f64, f64) {
         pose_distance(&self.nearest(a, &b.rotation), b)
+    }
+
+    /// Whether its file says that it has this colour (a canonical colour word).
+    pub fn is_called(&self, color: &str) -> bool {
+        self.colors.iter().any(|c| color_word(c) == Some(color))
+    }
+
+    /// Whether a part of it has this colour, by its file or its palette.
+    pub fn shows(&self, color: &str) -> bool {
+        self.is_called(color) || self.palette.shows(color)
     }
 
     /// Edge lengths of the bounding box (m).
@@ -270,6 +289,16 @@ fn mesh_palette(mesh: &Mesh) -> Palette {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_own_catalogue_is_read_whole() {
+        let all =
+            Catalogue::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/objects"));
+        let all = all.unwrap();
+        assert!(all.models.len() >= 17);
+        assert!(all.get("cube").unwrap().is_called("brown"));
+        assert!(all.get("mug").unwrap().shows("blue") && !all.get("mug").unwrap().shows("red"));
+    }
 
     #[test]
     fn errors_name_file_and_field() {

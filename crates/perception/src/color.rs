@@ -46,9 +46,32 @@ pub const COLOR_WORDS: [(&str, [u8; 3]); 12] = [
     ("black", [25, 25, 25]),
 ];
 
+/// Other words for the same colours.
+const SAME_COLOR: [(&str, &str); 19] = [
+    ("gray", "grey"),
+    ("silver", "grey"),
+    ("steel", "grey"),
+    ("metal", "grey"),
+    ("cream", "white"),
+    ("ivory", "white"),
+    ("wooden", "brown"),
+    ("beige", "brown"),
+    ("tan", "brown"),
+    ("teal", "turquoise"),
+    ("cyan", "turquoise"),
+    ("aqua", "turquoise"),
+    ("violet", "purple"),
+    ("lilac", "purple"),
+    ("magenta", "pink"),
+    ("navy", "blue"),
+    ("crimson", "red"),
+    ("scarlet", "red"),
+    ("golden", "yellow"),
+];
+
 /// The canonical colour word of `word` ("gray" is "grey"), if it is one.
 pub fn color_word(word: &str) -> Option<&'static str> {
-    let word = if word == "gray" { "grey" } else { word };
+    let word = SAME_COLOR.iter().find(|(other, _)| *other == word).map_or(word, |(_, plain)| plain);
     COLOR_WORDS.iter().find(|(name, _)| *name == word).map(|(name, _)| *name)
 }
 
@@ -85,6 +108,29 @@ impl Palette {
         self.entries.is_empty()
     }
 
+    /// The strong colours alone; `None` without a weak one beside a strong one. White and grey are
+    /// everywhere: what also has a strong colour is told by that.
+    pub fn vivid(&self) -> Option<Self> {
+        let entries: Vec<(Hsv, f32)> =
+            self.entries.iter().filter(|(e, _)| e.saturation > STRONG).copied().collect();
+        (!entries.is_empty() && entries.len() < self.entries.len()).then_some(Self { entries })
+    }
+
+    /// Whether a pixel has the colour that covers most of it.
+    pub fn is_main(&self, c: [u8; 3]) -> bool {
+        let main = self.entries.iter().max_by(|a, b| a.1.total_cmp(&b.1));
+        main.is_some_and(|(e, _)| fit_one(e, &Hsv::from(c)) > 0.3)
+    }
+
+    /// Whether one of its colours is what the word (a canonical one) means.
+    pub fn shows(&self, word: &str) -> bool {
+        let Some((_, rgb)) = COLOR_WORDS.iter().find(|(name, _)| *name == word) else {
+            return false;
+        };
+        let meant = Hsv::from(*rgb);
+        self.entries.iter().any(|(e, _)| fit_one(&meant, e) > 0.2)
+    }
+
     /// How well a pixel's colour fits the nearest palette colour, 0..1. Hue decides for saturated
     /// colours, brightness hardly: light and shadow change it.
     pub fn fit(&self, c: [u8; 3]) -> f32 {
@@ -93,17 +139,22 @@ impl Palette {
     }
 }
 
+/// Saturation above which the hue tells a colour.
+const STRONG: f32 = 0.3;
+
 fn fit_one(e: &Hsv, p: &Hsv) -> f32 {
     let soft = |x: f32, width: f32| (1.0 - (x / width).powi(2)).max(0.0);
     let dv = (e.value - p.value).abs();
-    if e.saturation > 0.3 {
+    // Shadow darkens white to grey; light does not make grey white.
+    let plain_width = if p.value < e.value { 0.65 } else { 0.45 };
+    if e.saturation > STRONG {
         if p.value < 0.08 || p.saturation < 0.4 * e.saturation {
             return 0.0;
         }
         let dh = (e.hue - p.hue).abs();
         soft(dh.min(360.0 - dh), 32.0) * soft(dv, 0.75)
     } else {
-        soft((p.saturation - e.saturation).max(0.0), 0.3) * soft(dv, 0.45)
+        soft((p.saturation - e.saturation).max(0.0), 0.3) * soft(dv, plain_width)
     }
 }
 
@@ -164,6 +215,14 @@ mod tests {
         let p = Palette::new([([40, 80, 190], 1.0)]);
         assert!(p.fit([25, 50, 115]) > 0.6, "the same blue in shadow");
         assert!(p.fit([130, 75, 40]) < 0.1);
+        assert!(p.shows("blue") && !p.shows("red") && !p.shows("grey"));
+        assert_eq!(color_word("wooden"), Some("brown"));
+        assert_eq!(p.vivid(), None);
+        let plug = Palette::new([([118, 74, 152], 0.6), ([188, 192, 198], 0.4)]);
+        let vivid = plug.vivid().unwrap();
+        assert!(plug.fit([180, 184, 188]) > 0.8 && vivid.fit([180, 184, 188]) < 0.1);
+        assert!(vivid.fit([118, 74, 152]) > 0.9);
+        assert!(plug.is_main([110, 70, 140]) && !plug.is_main([180, 184, 188]));
         assert!(p.fit([150, 150, 150]) < 0.1);
         let grey = Palette::new([([128, 128, 128], 1.0)]);
         assert!(grey.fit([110, 110, 112]) > 0.8 && grey.fit([200, 30, 30]) < 0.1);

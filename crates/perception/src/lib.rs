@@ -27,6 +27,7 @@ pub mod segment;
 pub mod table;
 #[cfg(test)]
 mod testing;
+pub mod text_mask;
 pub mod track;
 mod view;
 pub mod visp;

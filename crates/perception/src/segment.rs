@@ -12,12 +12,19 @@ use nalgebra::{Point3, Vector3};
 const TALL_M: f64 = 0.012;
 /// Lowest smoothed height (m) of a thin object whose colour differs from the table's.
 const THIN_M: f64 = 0.0025;
+/// Height (m) of an object that is looked for by its colour alone, and of the cells that may be its.
+const FLAT_M: f64 = 0.009;
+const FLAT_BAND_M: f32 = 0.012;
 /// Highest point (m) above the table that is looked at.
 const CEILING_M: f64 = 0.45;
 /// A mask grows over gaps of so many pixels,
 const GROW_PX: i32 = 2;
 /// and not onto surfaces that are nearer or farther than its edge by this (m).
 const GROW_M: f32 = 0.06;
+/// What the height's fit never falls below: an object may be held.
+const HELD: f64 = 0.15;
+/// Least part of an object's cells that has its main colour.
+const MAIN_SHARE: f64 = 0.15;
 /// Fewest cells of a group.
 const MIN_CELLS: usize = 40;
 
@@ -102,8 +109,20 @@ impl Scene {
         if model.palette.is_empty() {
             return Vec::new();
         }
+        let like = |i: usize| model.palette.fit(self.colors[i]) > 0.3;
+        // What lies flat is hardly higher than the table's noise, and large enough to count among the
+        // table's own colours: its colour has to do, if it is not really the table's.
+        let level = |i: usize| self.heights[i].abs() < FLAT_BAND_M;
+        let flat = model.size().z < FLAT_M && model.resting == Resting::Upright && {
+            let (mut on, mut own) = (0_usize, 0_usize);
+            for i in (0..self.class.len()).step_by(7).filter(|i| level(*i)) {
+                on += 1;
+                own += usize::from(like(i));
+            }
+            8 * own < on
+        };
         let fits: Vec<bool> = (0..self.class.len())
-            .map(|i| self.class[i] > 0 && model.palette.fit(self.colors[i]) > 0.3)
+            .map(|i| (self.class[i] > 0 || (flat && level(i))) && like(i))
             .collect();
         self.groups(|i| fits[i], |_, _| true)
     }
@@ -211,13 +230,15 @@ impl Scene {
             Resting::Any => 0.35 * size.max(),
         };
         // A held object is higher than it stands; never rule it out by height alone.
-        let fit_height = 0.15 + 0.85 * soft(height - expected_height, spread);
+        let fit_height = HELD + (1.0 - HELD) * soft(height - expected_height, spread);
         let fit_color = if model.palette.is_empty() {
             1.0
         } else {
-            let sum: f32 =
-                cluster.cells.iter().map(|i| model.palette.fit(self.colors[*i as usize])).sum();
-            (f64::from(sum) / cluster.cells.len() as f64 / 0.7).min(1.0)
+            // A few hundred cells tell as much as all.
+            let step = cluster.cells.len().div_ceil(400);
+            let some = cluster.cells.iter().step_by(step.max(1));
+            let sum: f32 = some.clone().map(|i| model.palette.fit(self.colors[*i as usize])).sum();
+            (f64::from(sum) / some.count().max(1) as f64 / 0.7).min(1.0)
         };
         Fit {
             size: fit_size,
@@ -225,6 +246,14 @@ impl Scene {
             color: fit_color,
             total: fit_size * fit_height * fit_color,
         }
+    }
+
+    /// Whether enough of a cluster has the colour that covers most of the model; true without palette.
+    pub(crate) fn shows_main_color(&self, cluster: &Cluster, model: &ObjectModel) -> bool {
+        let step = cluster.cells.len().div_ceil(400).max(1);
+        let some = || cluster.cells.iter().step_by(step);
+        let own = some().filter(|i| model.palette.is_main(self.colors[**i as usize])).count();
+        model.palette.is_empty() || own as f64 > MAIN_SHARE * some().count() as f64
     }
 
     /// Full-resolution mask of a cluster of `model` over its bounding window grown by `margin` px.
@@ -236,6 +265,19 @@ impl Scene {
         margin: i32,
         frame: &RgbdFrame,
         model: &ObjectModel,
+    ) -> Mask {
+        self.mask_within(cluster, margin, frame, model, GROW_M)
+    }
+
+    /// As [`Self::mask`]; `reach` (m): how much nearer or farther than the edge of what was found a
+    /// surface may be that is joined to it.
+    pub(crate) fn mask_within(
+        &self,
+        cluster: &Cluster,
+        margin: i32,
+        frame: &RgbdFrame,
+        model: &ObjectModel,
+        reach: f32,
     ) -> Mask {
         let s = self.map.stride as i32;
         let xy = |i: &u32| (*i as i32 % self.map.width as i32, *i as i32 / self.map.width as i32);
@@ -273,7 +315,7 @@ impl Scene {
                 if x < x0 || y < y0 || x >= x1 || y >= y1 || mask.at(x, y) {
                     continue;
                 }
-                let near = frame.depth_at(x, y).is_none_or(|d| (d - z).abs() < GROW_M);
+                let near = frame.depth_at(x, y).is_none_or(|d| (d - z).abs() < reach);
                 let c = frame.color.get_pixel(x as u32, y as u32).0;
                 let own = model.palette.is_empty() || model.palette.fit(c) > 0.3;
                 if near && own && self.table_colors.differs(c) && mask.set(x, y) {
@@ -296,6 +338,13 @@ pub struct Fit {
     pub color: f64,
     /// Product of the three.
     pub total: f64,
+}
+
+impl Fit {
+    /// Product of the three for what is known to stand on the table: the height counts in full.
+    pub fn resting(&self) -> f64 {
+        self.size * self.color * ((self.height - HELD) / (1.0 - HELD)).max(0.0)
+    }
 }
 
 /// A window of the image with the pixels of one object.

@@ -194,6 +194,10 @@ pub enum EvalCommand {
     Faults(FaultsArgs),
     /// Track an object of a recorded data set and compare with its reference poses
     Tracking(TrackingArgs),
+    /// Masks of what sentences name on rendered tables, against the true pixels
+    TextToMask(TextToMaskArgs),
+    /// Hand joints on a real video against MediaPipe's, grasps of rendered demonstrations against the lab
+    Hands(HandsArgs),
     /// Success by task, demonstrations and level, in one process on simulated time
     Table2(Table2Args),
     /// The same for settings that change one thing each
@@ -425,6 +429,57 @@ pub struct TrackingArgs {
     /// Folder for the bag and the logs of the live form
     #[arg(long, default_value = "runs/tracking")]
     pub run: PathBuf,
+}
+
+#[derive(Args)]
+pub struct HandsArgs {
+    /// Frames of a video, NNNN.png
+    #[arg(long, requires = "landmarks")]
+    pub frames: Option<PathBuf>,
+    /// What MediaPipe finds in them; tests/golden/hands/make_video_landmarks.py writes both
+    #[arg(long, requires = "frames")]
+    pub landmarks: Option<PathBuf>,
+    /// Rendered demonstrations
+    #[arg(long, default_value_t = 3)]
+    pub demonstrations: u64,
+    /// What they show: a task in which an object is carried
+    #[arg(long, default_value = "cup_on_coaster",
+        value_parser = clap::builder::PossibleValuesParser::new(tdv_simulation::record::TASKS))]
+    pub task: String,
+    /// Seed of the first one
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Folder for their bags
+    #[arg(long, default_value = "runs/hands")]
+    pub run: PathBuf,
+    /// Object catalogue
+    #[arg(long, default_value = "config/objects")]
+    pub objects: PathBuf,
+    /// Folder with palm_detection_full.tflite and hand_landmark_full.tflite
+    #[arg(long, default_value = "models/hands")]
+    pub hand_models: PathBuf,
+    /// Result file
+    #[arg(long)]
+    pub json: Option<PathBuf>,
+}
+
+#[derive(Args)]
+pub struct TextToMaskArgs {
+    /// Tables; each is asked three sentences
+    #[arg(long, default_value_t = 50)]
+    pub scenes: usize,
+    /// Seed of tables, light, noise and words
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Result file
+    #[arg(long)]
+    pub json: Option<PathBuf>,
+    /// Folder for a picture of every sentence: the true outline green, the given one pink
+    #[arg(long)]
+    pub pictures: Option<PathBuf>,
+    /// Object catalogue
+    #[arg(long, default_value = "config/objects")]
+    pub objects: PathBuf,
 }
 
 #[derive(Subcommand)]

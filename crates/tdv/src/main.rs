@@ -9,6 +9,7 @@ mod domains;
 mod eval;
 mod faults;
 mod graph;
+mod hands;
 mod launch;
 mod live_faults;
 mod motion;
@@ -21,6 +22,7 @@ mod report;
 mod table2;
 mod teach;
 mod teach_multi;
+mod text_to_mask;
 mod tracking;
 mod tracking_synthetic;
 mod training;
@@ -43,6 +45,8 @@ fn main() -> ExitCode {
         Command::Eval(EvalCommand::Domains(a)) => domains::run(&a),
         Command::Eval(EvalCommand::Faults(a)) => faults::campaign(&a),
         Command::Eval(EvalCommand::Tracking(a)) => tracking::run(&a),
+        Command::Eval(EvalCommand::Hands(a)) => hands::run(&a),
+        Command::Eval(EvalCommand::TextToMask(a)) => text_to_mask::run(&a),
         Command::Eval(EvalCommand::Table2(a)) => table2::table(&a),
         Command::Eval(EvalCommand::Ablations(a)) => table2::ablations(&a),
         Command::Object(ObjectCommand::Add(a)) => object::add(&a).map(|()| true),

@@ -1,6 +1,5 @@
 //! A recording through perception: what was seen in each frame.
 
-use crate::arguments::TeachArgs;
 use anyhow::Context as _;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::BTreeMap;
@@ -34,16 +33,21 @@ pub fn bar(length: u64, what: &'static str) -> ProgressBar {
 }
 
 /// Looks at every frame of a recording.
-pub fn observe(bag: &Path, task: &Task, args: &TeachArgs) -> anyhow::Result<Observed> {
+pub fn observe(
+    bag: &Path,
+    task: &Task,
+    hand_models: &Path,
+    objects: &Path,
+) -> anyhow::Result<Observed> {
     let mut hands = HandDetector::load(
-        &args.hand_models.join("palm_detection_full.tflite"),
-        &args.hand_models.join("hand_landmark_full.tflite"),
+        &hand_models.join("palm_detection_full.tflite"),
+        &hand_models.join("hand_landmark_full.tflite"),
     )
     .context("hand networks (launch_scripts/fetch_hand_models.sh gets them)")?;
     let names = task.object_names();
     let models: Vec<ObjectModel> = names
         .iter()
-        .map(|name| ObjectModel::load(&args.objects.join(name)))
+        .map(|name| ObjectModel::load(&objects.join(name)))
         .collect::<Result<_, _>>()?;
     let config = PerceiverConfig { prompt: task.text.clone(), ..Default::default() };
     let mut perceiver = Perceiver::new(config, models);

@@ -18,6 +18,11 @@ fn object(folder: &Path, name: &str) -> anyhow::Result<DemoObject> {
 
 /// Renders a demonstration into two bags: what a camera sees, and the truth.
 pub fn run(args: &RecordDemoArgs) -> anyhow::Result<()> {
+    render(args).map(|_| ())
+}
+
+/// As [`run`]; gives the stamp of each frame and whether the hand holds the object in it.
+pub fn render(args: &RecordDemoArgs) -> anyhow::Result<Vec<(Stamp, bool)>> {
     let TaskDemo { mut config, moving, reference, others } =
         demonstration(&args.task, args.seed).context("no such task")?;
     config.start = EPOCH;
@@ -33,16 +38,18 @@ pub fn run(args: &RecordDemoArgs) -> anyhow::Result<()> {
     let mut camera = CameraBagWriter::create(&args.output, intrinsics, camera_pose, args.quality)?;
     let mut truth = PosesBagWriter::create(&truth_path)?;
     let progress = bar(recorder.frames() as u64, "recording");
+    let mut contacts = Vec::with_capacity(recorder.frames());
     for index in 0..recorder.frames() {
         let (frame, is) = recorder.frame(index);
         camera.frame(frame.stamp, &frame.color, &frame.depth)?;
         let objects: Vec<_> =
             is.objects.iter().map(|(name, pose)| (name.as_str(), *pose)).collect();
         truth.frame(is.stamp, &objects, Some(&is.joints))?;
+        contacts.push((frame.stamp, is.contact));
         progress.inc(1);
     }
     progress.finish_and_clear();
     println!("{}", camera.finish()?.display());
     println!("{}", truth.finish()?.display());
-    Ok(())
+    Ok(contacts)
 }

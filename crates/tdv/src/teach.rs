@@ -112,7 +112,7 @@ fn demonstration(
         return Ok((observed, imported.demonstration, imported.report));
     }
     let Some(bag) = &args.bag else { bail!("give --bag or --import-dexmv") };
-    let observed = observe(bag, task, args)?;
+    let observed = observe(bag, task, &args.hand_models, &args.objects)?;
     println!(
         "  {} frames, a hand in {}, {} images without a partner",
         observed.frames.len(),

@@ -12,6 +12,11 @@ const WIDE_PX: f32 = 0.4;
 /// Width (px) of the ring inside the outline whose readings are not believed.
 const RIM_PX: f32 = 1.6;
 
+/// How far (px) the readings lie that speak for a pixel without one, and by how much (m) it may stand
+/// before them.
+const CLOSE_PX: i32 = 4;
+const BEFORE: f64 = 0.002;
+
 /// A window of one frame with the outline of the object.
 #[derive(Debug)]
 pub(super) struct View {
@@ -20,6 +25,8 @@ pub(super) struct View {
     pub t_camera_object: Pose,
     /// Smoothed depth (m), 0 where there is none; row-major.
     depth: Vec<f32>,
+    /// Where there is no depth: the nearest reading (m) close by, 0 where there is none either.
+    front: Vec<f32>,
     /// sRGB.
     color: Vec<[u8; 3]>,
     /// Distance (px) to the outline, positive inside.
@@ -37,11 +44,12 @@ impl View {
         let outline: Vec<f32> =
             signed_distance(&whole, w as usize, h as usize).iter().map(|d| d - WIDE_PX).collect();
         // At the outline a reading may be of what lies behind: only the outline itself counts there.
-        let depth = pixels()
+        let depth: Vec<f32> = pixels()
             .zip(&outline)
             .map(|((u, v), rim)| if *rim > RIM_PX { smooth(frame, mask, u, v) } else { 0.0 })
             .collect();
-        Self { k, t_camera_object, depth, color, outline }
+        let front = nearest_close_by(&depth, w, h);
+        Self { k, t_camera_object, depth, front, color, outline }
     }
 
     /// Takes `t_old_new` as the object's new frame.
@@ -89,9 +97,14 @@ impl View {
         };
         let rim = mix(corners.map(|i| self.outline[i])) * q.z / self.k.fx;
         let z = corners.map(|i| self.depth[i]);
-        let near = z[usize::from(fx > 0.5) + 2 * usize::from(fy > 0.5)];
+        let nearest = usize::from(fx > 0.5) + 2 * usize::from(fy > 0.5);
+        let near = z[nearest];
         if near <= 0.0 {
-            return rim.min(UNKNOWN);
+            // Surfaces turn away from the camera at the outline: nothing stands far before the readings
+            // beside it. Without this a fin would stay along every line of sight through the rim.
+            let front = f64::from(self.front[corners[nearest]]);
+            let before = if front > 0.0 { q.z - (front - BEFORE) } else { UNKNOWN };
+            return rim.min(before).min(UNKNOWN);
         }
         let one = z.iter().all(|d| (d - near).abs() < 0.008);
         let surface = if one { mix(z) } else { f64::from(near) };
@@ -131,6 +144,32 @@ fn smooth(frame: &RgbdFrame, mask: &Mask, u: i32, v: i32) -> f32 {
         }
     }
     sum / n
+}
+
+/// For every pixel without a reading the least one within [`CLOSE_PX`].
+fn nearest_close_by(depth: &[f32], w: i32, h: i32) -> Vec<f32> {
+    let mut out = vec![0.0; depth.len()];
+    for y in 0..h {
+        for x in 0..w {
+            let i = (y * w + x) as usize;
+            if depth[i] > 0.0 {
+                continue;
+            }
+            let mut least = f32::MAX;
+            for v in (y - CLOSE_PX).max(0)..=(y + CLOSE_PX).min(h - 1) {
+                for u in (x - CLOSE_PX).max(0)..=(x + CLOSE_PX).min(w - 1) {
+                    let z = depth[(v * w + u) as usize];
+                    if z > 0.0 {
+                        least = least.min(z);
+                    }
+                }
+            }
+            if least < f32::MAX {
+                out[i] = least;
+            }
+        }
+    }
+    out
 }
 
 /// Gaps of the mask that do not reach the window's border belong to it, unless they are large (the
