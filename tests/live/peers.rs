@@ -49,14 +49,6 @@ fn estimators_with_the_interface_of_isaac_replace_the_classical_chain() {
 }
 
 #[test]
-fn the_loop_closes_over_estimators_with_the_interface_of_isaac() {
-    let Some(model) = model() else { return };
-    let _machine = machine();
-    let binaries = program("tdv").parent().unwrap().display().to_string();
-    passes("tests/peers/isaac_peer.py", &["--trial", &binaries, model.to_str().unwrap()]);
-}
-
-#[test]
 fn rclpy_agrees_with_every_feature_of_the_runtime() {
     let peer = program("examples/peer");
     let _machine = machine();
